@@ -3,16 +3,18 @@
 Figures are printed with their known digits.
 """
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-from linkplan.models.errors import AssemblyError
+from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
 from linkplan.planner.limits.kinds import affine_limits, all_effort_bounds, effort_bounds, limits_of
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
@@ -20,6 +22,7 @@ from linkplan.planner.refinement.history import Step
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Axis, Block, Facts, Plane, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
+from linkplan.studies.output.pin_forces import pin_forces
 from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
 
 # Solvers stop at a relative error of 1e-8. A certificate passes if the relative error is at most about 1e-3.
@@ -229,7 +232,7 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
 
 def _left_free(plan: Plan) -> list[tuple[str, str]]:
     """Return the row of a least time on its peak speed and its largest pin force, where no limits on them are set."""
-    problem, certificate, motion = plan.problem, plan.certificate, plan.trajectory
+    problem, motion = plan.problem, plan.require_motion("describe")
     if not problem.objective.has("time"):
         return []
     keys, said = {limit.key for limit in limits_of(problem)}, []
@@ -238,10 +241,14 @@ def _left_free(plan: Plan) -> list[tuple[str, str]]:
         joints = problem.mechanism.independent_joints
         joint, speed = max(zip(joints, speeds, strict=True), key=lambda one: (one[0].kind == "hinge", one[1]))
         said.append(f"{joint.name} moves at up to {joint.shown(speed):.4g} {joint.unit}/s, no speed limit is set")
-    forces = certificate.peak_closure_force
-    if "closure_force" not in keys and isinstance(forces, np.ndarray) and forces.size:
-        k = int(np.argmax(forces))
-        said.append(f"pin {problem.mechanism.closure_names[k]} carries up to {forces[k]:.4g} N, no limit is set")
+    if "closure_force" not in keys:
+        forces: dict[str, np.ndarray] = {}
+        with contextlib.suppress(AssemblyError, ModelError):  # the loops are open, or the model's file is no longer there
+            at = samples_of(problem, motion)
+            forces |= dict(zip(problem.mechanism.closure_names, at.closure_forces.T, strict=True))
+            forces |= pin_forces(problem.mechanism, at.q, at.v, at.a, at.u, *at.forces)
+        name = max(forces, key=lambda one: float(forces[one].max()), default="")
+        said += [f"pin {name} carries up to {forces[name].max():.4g} N, no limit on pin forces is set"] if name else []
     return [("left free", "; ".join(said))] if said else []
 
 
