@@ -75,7 +75,7 @@ def test_a_motor_that_cannot_overcome_friction_is_told_so():
 def test_a_motion_too_slow_for_its_friction_says_so():
     fast, slow = planned(1.0, "effort"), planned(1.0, "effort", friction_transition_deg_s=60.0)
     assert "dry friction" not in fast.message
-    assert "it joint J is so slow that" in slow.message
+    assert "joint J moves slowly for" in slow.message
     assert slow.details["slow_friction_share"] > 0.3
 
 
