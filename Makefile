@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # Threads of the linear algebra fight the tests' processes for the same cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test long hardest quick check bench docs clean
+.PHONY: demo test long hardest quick check installed bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
@@ -30,6 +30,19 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/python -m tests.bench.source_sizes
+
+# What a stranger gets: sdist and wheel, the wheel alone in an empty environment, and its commands in an empty folder.
+STRANGER := $(CURDIR)/build/stranger
+installed: $(STAMP)
+	rm -rf $(STRANGER)
+	mkdir -p $(STRANGER)/empty
+	$(BIN)/python -m build --outdir $(STRANGER)/dist . > $(STRANGER)/build.log 2>&1 || { cat $(STRANGER)/build.log; exit 1; }
+	$(PYTHON) -m venv $(STRANGER)/venv
+	$(STRANGER)/venv/bin/python -m pip install --quiet --disable-pip-version-check $(STRANGER)/dist/*.whl
+	cd $(STRANGER)/empty && PATH="$(STRANGER)/venv/bin:$$PATH" && linkplan check optimus-knee && \
+	  linkplan plan knee-reach -o plan && linkplan report plan -o report.html && \
+	  python -c "import linkplan; assert linkplan.read_plan('plan').passed" && test -s report.html
+	du -sm $(STRANGER)/dist/* $(STRANGER)/venv
 
 # `make bench` runs all parts, `make bench rounding` the part named; the names that follow are no targets of their own.
 ifeq (bench,$(firstword $(MAKECMDGOALS)))
