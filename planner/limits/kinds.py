@@ -14,7 +14,7 @@ from linkplan.planner import limits
 from linkplan.planner.limits.actuators import further_control_claims
 from linkplan.planner.limits.bounds import Affine, EffortBounds
 from linkplan.planner.limits.efforts import lacking_corner_claims
-from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
+from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, clipped, limit_margin, with_limits
 from linkplan.planner.limits.samples import Poses, Samples, samples_of
 from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
@@ -187,13 +187,26 @@ def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float 
     return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
 
 
-def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> Margin | None:
-    """Return the worst overrun of a kind's limits; None if a motion satisfies them."""
+def violation(kind: type[Limit], problem: Problem, motion: Trajectory, factor: float = np.inf) -> Margin | None:
+    """Return the worst overrun of a kind's limits; None if a motion satisfies them.
+
+    At its nodes the motion satisfies the limits relaxed by a factor; between them, overruns of these are the mesh's error.
+    """
     try:
         over = overrun_margins(kind, problem, motion)
     except AssemblyError:
         return None
+    if np.isfinite(factor):
+        bounds = _relaxed_bounds(kind, problem, motion, factor)
+        over = [within for margin in over if not (within := clipped(margin, bounds[margin.of])).kept]
     return max(over, key=lambda m: m.overrun.max(), default=None)
+
+
+def _relaxed_bounds(kind: type[Limit], problem: Problem, motion: Trajectory, factor: float) -> dict[Limit, Any]:
+    """Return the bounds [low, high] of a problem's limits of a kind, relaxed by a factor."""
+    relaxed = kind.relaxed(problem, factor)
+    samples, every = samples_of(relaxed, motion), zip(kind.of(problem), kind.of(relaxed), strict=True)
+    return {limit: wider.measured(samples).bounds for limit, wider in every}
 
 
 def tightened_in(problem: Problem, margin: Margin, factor: float, least: float) -> Problem:

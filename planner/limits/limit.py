@@ -357,6 +357,13 @@ def margin_of(of: Limit, measured: Measured, points: np.ndarray, time: np.ndarra
     return margin if measured.at_times is None else _sampled_finely(margin, measured, time.reshape(-1, len(points)))
 
 
+def clipped(margin: Margin, bounds: Sequence[float] | np.ndarray) -> Margin:
+    """Return a margin whose value is clipped to wider bounds [low, high]."""
+    value = float(np.clip(margin.value, *bounds))
+    left = min(margin.left + abs(margin.value - value), 0.0)
+    return structs.replace(margin, value=value, left=left, overrun=np.minimum(margin.overrun, -left / margin.size))
+
+
 def _sampled_finely(margin: Margin, measured: Measured, at: np.ndarray) -> Margin:
     """Return a margin measured at (n_intervals, n_points) [s] again on finer samples in every interval near the limit."""
     (low, high), size, n_points = measured.bounds, margin.size, at.shape[1]

@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
-from linkplan.planner.limits.kinds import are_efforts_bounded, effort_bounds, factor_of
+from linkplan.planner.limits.kinds import are_efforts_bounded, effort_bounds, factor_of, overrun_margins
 from linkplan.planner.limits.limit import RELAXED_FACTOR, Limit
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
@@ -23,6 +23,10 @@ from linkplan.planner.transcription.mesh import Mesh, halved
 
 # The bisection of a factor on a limit ends at this relative distance.
 _FACTOR_RESOLUTION = 1e-4
+# It also ends at most at this share of what the limit lacks, which a message names, too.
+_LACK_RESOLUTION = 1e-2
+# Meshes of a least relaxation; each one halves intervals near a switch, which lasts some percents of an interval at least.
+_MAX_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -127,30 +131,37 @@ def least_limit(
 
 
 def least_relaxation(
-    problem: Problem, kind: type[Limit], motion: Trajectory, mesh: Mesh, durations: np.ndarray
-) -> Trajectory:
-    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
+    problem: Problem, kind: type[Limit], motion: Trajectory, mesh: Mesh, durations: np.ndarray, about: float = np.inf
+) -> tuple[Trajectory, float]:
+    """Return the motion with the least relaxation of a limit, and its factor, by bisection with warm solves.
+
+    The motion satisfies the relaxed limit at the nodes of its mesh.
 
     Args:
         problem: a problem without a motion.
         kind: the kind of limit.
-        motion: a motion planned without the limit; returned if no motion is closer to the limit.
+        motion: a motion planned without the limit; returned with an infinite factor if no motion is closer to the limit.
         mesh: of the solves.
         durations: of the mesh's segments in the motion [s].
+        about: a factor that may be the least; the bisection begins on both sides of it.
     """
     near, far = 1.0, factor_of(kind, problem, motion) or RELAXED_FACTOR  # of an infinite overrun no factor is known
     transcribed = transcribe(kind.relaxed(problem, far), guess_from(motion), mesh, durations)
     best = solve(transcribed, problem.solver)
     add_step(step_of(f"least {kind.key}", transcribed, best))
     if not best.converged:
-        return motion
+        return motion, np.inf
     with contextlib.suppress(AssemblyError):
         loose = trajectory_of(transcribed, best.x)
         far = min(far, factor_of(kind, problem, loose) or far)
     solver = build_solver(transcribed.program, problem.solver, warm=True)
-    # A message names the limit to four digits; an infinite overrun leaves a range up to `RELAXED_FACTOR`.
-    while abs(far - near) > _FACTOR_RESOLUTION * abs(far) and not problem.solver.deadline.passed:
-        middle = 0.5 * (near + far)
+    # A message names the limit to four digits, and what it lacks; an infinite overrun leaves a range up to `RELAXED_FACTOR`.
+    while not problem.solver.deadline.passed:
+        lack = min(_FACTOR_RESOLUTION * abs(far), _LACK_RESOLUTION * abs(far - 1.0))
+        if abs(far - near) <= lack:
+            break
+        expected = [about + side * lack for side in (0.4, -0.4, 4.0, -4.0, 30.0, -30.0) if near < about + side * lack < far]
+        middle = expected[0] if expected else 0.5 * (near + far)
         trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
         if trial.converged:
             best, far = trial, middle
@@ -158,9 +169,28 @@ def least_relaxation(
             near = middle
     add_step(step_of(f"least {kind.key}", best.transcribed, best))
     try:
-        return trajectory_of(best.transcribed, best.x)
+        return trajectory_of(best.transcribed, best.x), far
     except AssemblyError:
-        return motion
+        return motion, np.inf
+
+
+def settled_relaxation(
+    problem: Problem, kind: type[Limit], motion: Trajectory, mesh: Mesh, durations: np.ndarray
+) -> tuple[Trajectory, float]:
+    """Return the result of `least_relaxation` on meshes that are refined where the motion overruns the relaxed limit."""
+    factor = np.inf
+    for _ in problem.solver.deadline.take(range(_MAX_ROUNDS)):
+        before = factor
+        motion, factor = least_relaxation(problem, kind, motion, mesh, durations, before)
+        if not abs(factor - before) > _LACK_RESOLUTION * abs(factor - 1.0):
+            break
+        over = [margin.overrun for margin in overrun_margins(kind, kind.relaxed(problem, factor), motion)]
+        marked = np.max(over, axis=0, initial=0.0) > _LACK_RESOLUTION * abs(factor - 1.0)
+        if not np.any(marked):
+            break
+        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
+        mesh = halved(mesh, marked)
+    return motion, factor
 
 
 def least_relaxation_of_legs(

@@ -29,7 +29,12 @@ from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recorded
-from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, least_relaxation, least_relaxation_of_legs
+from linkplan.planner.search.least_limit import (
+    LeastLimit,
+    least_limit_of_starts,
+    least_relaxation_of_legs,
+    settled_relaxation,
+)
 from linkplan.planner.search.methods import SHORT_BUDGET, Search
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
@@ -339,13 +344,13 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     found = solve_from(without(kind, problem), guess, mesh, durations, word)
     if found is None:
         return None
-    motion, known_by = found.motion, "search"
+    motion, known_by, factor = found.motion, "search", np.inf
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"searching for the least limit on {kind.key} with which there is a motion")
-        motion = least_relaxation(problem, kind, motion, mesh, found.durations)
+        motion, factor = settled_relaxation(problem, kind, motion, mesh, found.durations)
         legs = least_relaxation_of_legs(problem, kind, search.start_pose, motion) if one_way(search) else None
-        motion, known_by = (motion, "search") if legs is None else (legs, "phase plane")
-    over = violation(kind, problem, motion)
+        motion, known_by, factor = (motion, "search", factor) if legs is None else (legs, "phase plane", np.inf)
+    over = violation(kind, problem, motion, factor)
     if over is None:
         return None
     words = over.sentence("would have to be")

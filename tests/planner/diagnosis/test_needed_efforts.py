@@ -11,15 +11,16 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.limits.actuators import PowerLimit
-from linkplan.planner.limits.kinds import violation
+from linkplan.planner.limits.kinds import violation, without
 from linkplan.planner.limits.rates import AccelerationLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import reasons
-from linkplan.planner.search.least_limit import LeastLimit, least_relaxation_of_legs
+from linkplan.planner.search.least_limit import LeastLimit, least_relaxation_of_legs, settled_relaxation
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.reasons import effort_sentence, far_too_short, nothing_found, path_effort, share_sentence
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_problem, cart
@@ -364,21 +365,37 @@ def half_way(power: float) -> float:
     return 0.5 * speed * bang + SLED_MASS / (3 * power) * (later**1.5 - speed**3)
 
 
+def sled(key: str, limit: float) -> Problem:
+    ends = {"start_m": {"x": 0.0}, "goal_m": {"x": SLED_WAY}, "duration_s": SLED_TIME}
+    name = "push" if key == "power_w" else "x"
+    return Problem.reach(cart(f"{-SLED_FORCE} {SLED_FORCE}"), **ends, limits={key: {name: limit}})
+
+
+LEAST_POWER = brentq(lambda p: half_way(p) - SLED_WAY / 2, 1.0, 10.0)
+
+
 @pytest.mark.parametrize(
-    ("kind", "key", "name", "least"),
+    ("kind", "key", "least"),
     [
-        (AccelerationLimit, "acceleration_m_s2", "x", 4 * SLED_WAY / SLED_TIME**2),
-        (PowerLimit, "power_w", "push", brentq(lambda p: half_way(p) - SLED_WAY / 2, 1.0, 10.0)),
+        (AccelerationLimit, "acceleration_m_s2", 4 * SLED_WAY / SLED_TIME**2),
+        (PowerLimit, "power_w", LEAST_POWER),
     ],
     ids=["acceleration", "power"],
 )
-def test_the_least_limit_of_a_motion_in_time_is_that_of_the_legs(kind, key, name, least):
-    def of(limit: float) -> Problem:
-        ends = {"start_m": {"x": 0.0}, "goal_m": {"x": SLED_WAY}, "duration_s": SLED_TIME}
-        return Problem.reach(cart(f"{-SLED_FORCE} {SLED_FORCE}"), **ends, limits={key: {name: limit}})
-
-    low = of(0.4 * least)
-    motion = plan_motion(of(1.2 * least)).trajectory
+def test_the_least_limit_of_a_motion_in_time_is_that_of_the_legs(kind, key, least):
+    low = sled(key, 0.4 * least)
+    motion = plan_motion(sled(key, 1.2 * least)).trajectory
     legs = least_relaxation_of_legs(low, kind, low.start_pose(), motion)
     over = violation(kind, low, legs)
     assert abs(over.value) == pytest.approx(least, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_the_power_that_a_limit_lacks_is_exact_although_the_motion_overruns_it_between_nodes():
+    low = sled("power_w", 0.4 * LEAST_POWER)
+    search = search_for(low)
+    with recording():
+        found = solve_from(without(PowerLimit, low), search.smooth, uniform(12), np.array([SLED_TIME]), "without power")
+        motion, factor = settled_relaxation(low, PowerLimit, found.motion, found.mesh, found.durations)
+    over = violation(PowerLimit, low, motion, factor)
+    assert -over.left == pytest.approx(0.6 * LEAST_POWER, rel=0.02)
