@@ -25,12 +25,14 @@ from linkplan.planner.closed_chain.prescribed import (
     reference_overrun,
     rounded_down,
     rounded_up,
+    undriven_need,
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.limits.joints import bounds_of_state
 from linkplan.planner.limits.kinds import effort_bounds, limits_of, tightened_in
 from linkplan.planner.limits.limit import Margin, Tightened
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
 from linkplan.planner.problem.extra import as_no_number
@@ -259,7 +261,8 @@ def finished(
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
         )
         verdict = verdict.replace(words=nearest, objective="")
-        over = reference_overrun(problem.varied(solver=SolverSettings()), trajectory.start_pose)
+        timeless = problem.varied(solver=SolverSettings())
+        over = reference_overrun(samples_of(timeless, prescribe(timeless, trajectory.start_pose)))
         if over is not None:
             verdict = verdict.adding(f"on the reference itself {over.sentence()}")
             details |= {"reference_needs": over.value, "reference_needs_at_s": over.time_s}
@@ -306,10 +309,16 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     if problem.motion.duration_s is None:
         return _plan_fastest(problem, start_pose)
     progress("following the reference")
-    over = reference_overrun(problem, start_pose)
+    trajectory = prescribe(problem, start_pose)
+    along = samples_of(problem, trajectory)
+    need = undriven_need(along)
+    if need is not None:
+        words = f"on the reference no actuator can give the {need.value:.4g} {need.unit} needed on joint {need.name}"
+        verdict = infeasible(f"{words} at t = {need.time_s:.4g} s", known_by="reference", overruns=(need,))
+        return Plan(problem=problem, verdict=verdict)
+    over = reference_overrun(along)
     if over is not None:
         return _too_fast(problem, start_pose, over)
-    trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
 

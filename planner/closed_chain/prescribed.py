@@ -9,9 +9,10 @@ from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.poses.along import demanded, is_redundant
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.guess import Guess, force_times, guess_from, poses_along, reference_guess, stretched
-from linkplan.planner.limits.kinds import effort_bounds, limits_of, needed_efforts
-from linkplan.planner.limits.limit import Margin, limit_margin
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.kinds import beyond_bounds, effort_bounds, margins_along, needed_efforts
+from linkplan.planner.limits.limit import Margin
+from linkplan.planner.limits.samples import Samples, samples_of
+from linkplan.planner.plan.verdict import Overrun
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
@@ -24,6 +25,9 @@ from linkplan.planner.transcription.bernstein import bernstein_integral, bernste
 _REFERENCE_DEGREE = 8
 # Halvings of the interval between two samples in which a switch lies: down to rounding of its time.
 _SWITCH_HALVINGS = 50
+# Instants at which efforts bound the rate of a reference, and the share below this bound within which the highest rate is
+# if efforts limit it: between these instants of a period their peak is larger by about (2 pi / 1001)^2 / 8.
+_BOUNDING_INSTANTS, _NEAR_BOUND = 1001, 1e-5
 
 
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
@@ -156,26 +160,43 @@ def at_rate(problem: Problem, rate: float) -> Problem:
 def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[Margin]:
     """Return the margins of all limits along the reference, followed `rate` times as fast."""
     faster = at_rate(problem, rate)
-    samples = samples_of(faster, prescribe(faster, start_pose))
-    return [limit_margin(limit, samples) for limit in limits_of(faster)]
+    return list(margins_along(samples_of(faster, prescribe(faster, start_pose))))
 
 
-def reference_overrun(problem: Problem, start_pose: np.ndarray) -> Margin | None:
+def reference_overrun(at: Samples) -> Margin | None:
     """Return the largest overrun of the reference followed exactly, as a share of the limit's size; None without any."""
-    over = [margin for margin in rate_margins(problem, start_pose, 1.0) if not margin.kept]
+    over = [margin for margin in margins_along(at) if not margin.kept]
     return min(over, key=lambda margin: margin.share, default=None)
+
+
+def undriven_need(at: Samples) -> Overrun | None:
+    """Return the largest generalised effort that the reference needs and that no actuator can give; None without any."""
+    missed = needed_efforts(at.problem, at.q, at.v, at.a, at.time)[1]
+    k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
+    if abs(missed[k, row]) <= at.lacking_allowed:
+        return None
+    joint, value = at.problem.mechanism.independent_joints[row], float(missed[k, row])
+    unit = joint.si_units[1]
+    return Overrun(limit="effort", name=joint.name, value=value, bound=0.0, unit=unit, time_s=float(at.time[k]))
 
 
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:
     """Return the highest rate at which the reference satisfies every limit, by bisection; None if there is none.
 
-    Rates are between `slowest` and `fastest`.
+    Rates are between `slowest` and `fastest`. Efforts at some instants, which are quickly known, bound them.
     """
+
+    def holds(rate: float) -> bool:
+        faster = at_rate(problem, rate)
+        guess = reference_guess(faster, start_pose)
+        effort = _efforts_along(faster, guess, np.linspace(0.0, guess.duration_s, _BOUNDING_INSTANTS))
+        return bool(beyond_bounds(faster, effort).max() <= missed_rounding(effort_bounds(faster)))
 
     def keeps(rate: float) -> bool:
         return all(margin.kept for margin in rate_margins(problem, start_pose, rate))
 
-    return highest_kept_rate(keeps, slowest, fastest)
+    at_most = highest_kept_rate(holds, slowest, fastest)
+    return None if at_most is None else highest_kept_rate(keeps, slowest, at_most)
 
 
 def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajectory:
@@ -197,7 +218,9 @@ def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: f
     """
     if keeps(fastest):
         return fastest
-    low = next((rate for rate in (slowest, 1.0) if slowest <= rate < fastest and keeps(rate)), None)
+    low = next(
+        (rate for rate in ((1 - _NEAR_BOUND) * fastest, slowest, 1.0) if slowest <= rate < fastest and keeps(rate)), None
+    )
     high = fastest
     while low is not None and high > (1 + 1e-7) * low:
         middle = float(np.sqrt(low * high))

@@ -358,9 +358,9 @@ def margin_of(of: Limit, measured: Measured, points: np.ndarray, time: np.ndarra
 
 
 def clipped(margin: Margin, bounds: Sequence[float] | np.ndarray) -> Margin:
-    """Return a margin whose value is clipped to wider bounds [low, high]."""
+    """Return the margin of an overrun limit, with its value clipped to wider bounds [low, high]."""
     value = float(np.clip(margin.value, *bounds))
-    left = min(margin.left + abs(margin.value - value), 0.0)
+    left = -abs(value - margin.limit)
     return structs.replace(margin, value=value, left=left, overrun=np.minimum(margin.overrun, -left / margin.size))
 
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from linkplan.planner.closed_chain import prescribed
 from linkplan.planner.closed_chain.prescribed import highest_rate, prescribe, reference_overrun
+from linkplan.planner.limits.samples import Samples, samples_of
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 
 AMPLITUDE, BIAS, PULSE = np.radians(20.0), np.radians(5.0), 2 * np.pi * 0.5
@@ -14,6 +17,10 @@ def followed(*more: str, motion: str = 'kind = "track"\n') -> Problem:
     """Return the problem of an inertia that follows a sinusoid of 0.5 Hz."""
     sine = ("reference.amplitude_deg.J=20", "reference.bias_deg.J=5", "reference.frequency_hz=0.5")
     return body_problem(HINGE, motion, *sine, *more)
+
+
+def along(problem: Problem) -> Samples:
+    return samples_of(problem, prescribe(problem, problem.start_pose()))
 
 
 def test_a_reference_is_followed_between_the_breaks_too():
@@ -46,7 +53,7 @@ def test_a_followed_reference_has_the_intervals_asked_for_in_each_period_and_at_
 )
 def test_the_largest_overrun_is_named_with_its_instant(limit, duration, what, value, instant):
     problem = followed(limit, f"motion.duration_s={duration}")
-    over = reference_overrun(problem, problem.start_pose())
+    over = reference_overrun(along(problem))
     assert (over.what, over.name, over.unit) == (what, "J", {"position": "deg", "speed": "deg/s"}[what])
     assert over.limit == pytest.approx(10.0)
     assert over.value == pytest.approx(value, rel=1e-6)
@@ -58,7 +65,7 @@ def test_a_reference_is_refused_for_any_limit_that_it_overruns(share, what):
     """The power of J a v is greatest at twice the pulse: I A^2 w^3 / 2."""
     most = share * HINGE_INERTIA * AMPLITUDE**2 * PULSE**3 / 2
     problem = followed(f"limits.power_w.motor={most}", "limits.range_deg.J=[-90, 26]")
-    over = reference_overrun(problem, problem.start_pose())
+    over = reference_overrun(along(problem))
     assert (None if over is None else over.what) == what
 
 
@@ -67,13 +74,13 @@ def test_of_two_limits_that_a_reference_overruns_the_one_of_the_larger_share_is_
     """It reaches 25 deg and moves at 62.8 deg/s."""
     ranges = f"limits.range_deg.J=[-90, {range_deg}]"
     problem = followed(ranges, f"limits.speed_deg_s.J=[-{speed_deg_s}, {speed_deg_s}]")
-    assert reference_overrun(problem, problem.start_pose()).what == worst
+    assert reference_overrun(along(problem)).what == worst
 
 
 def test_the_overrun_is_that_of_the_reference_where_the_nearest_motion_has_other_ends():
     rest = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 2.0\n'
     problem = followed("limits.range_deg.J=[-90, 10]", motion=rest)
-    assert reference_overrun(problem, problem.start_pose()).value == pytest.approx(25.0)
+    assert reference_overrun(along(problem)).value == pytest.approx(25.0)
 
 
 SINE_AMPLITUDE, EFFORT = np.radians(20.0), 4.0
@@ -101,3 +108,20 @@ def test_a_limit_on_acceleration_is_one_of_those_that_are_kept():
 
 def test_beyond_its_range_no_frequency_helps():
     assert highest("limits.range_deg.J=[-10, 10]") is None
+
+
+def test_efforts_that_no_slower_rate_gives_are_known_without_a_motion(monkeypatch):
+    problem = followed("limits.effort.motor=[0.5, 1]")
+    monkeypatch.setattr(prescribed, "prescribe", None)
+    assert highest_rate(problem, problem.start_pose(), 1e-3, 1.0) is None
+
+
+def test_a_reference_of_a_sprung_joint_without_a_motor_is_infeasible_by_the_effort_that_it_lacks():
+    arm = HINGE[HINGE.index('<body name="arm">') : HINGE.index("</worldbody>")]
+    tip = arm.replace("arm", "tip").replace('"J"', '"K" stiffness="5"')
+    sine = ("reference.amplitude_deg.J=20", "reference.amplitude_deg.K=10", "reference.frequency_hz=0.5")
+    plan = plan_motion(body_problem(HINGE.replace("</worldbody>", f"{tip}</worldbody>"), 'kind = "track"\n', *sine))
+    (over,) = plan.verdict.overruns
+    lacking = (5.0 - HINGE_INERTIA * PULSE**2) * np.radians(10.0)
+    assert (plan.status, over.name, abs(over.value)) == ("infeasible", "K", pytest.approx(lacking, rel=1e-6))
+    assert f"{abs(over.value):.4g} N.m needed on joint K" in plan.message
