@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_rates, sampled, sliding_friction
+from linkplan.models.poses.along import joint_rates, sampled
 from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
@@ -107,8 +107,6 @@ class ClosureForceLimit(Limit):
 
     def affine(self, problem: Problem) -> Affine | None:
         mechanism, rating = problem.mechanism, float(problem.limits.closure_force[self.item])
-        if sliding_friction(mechanism, mechanism.home[None]).any():
-            return None  # dry friction makes it jump with the speed's direction
         own, force = mechanism.closure_slice(self.item), mechanism.dynamics.closure_force
         return Affine(lambda q, v, a, u: sampled(force, q, v, a, u)[:, own, 0], (-np.inf, rating))
 

@@ -38,12 +38,14 @@ class AffineBounds:
     """The limits along a part on quantities F = still + square v^2 + linear v + by_acceleration a + by_effort u.
 
     `curves` gives (5, n_rows) over the coordinate. `rows` are each quantity's rows, and `bounds` (n, 2) their limits: of the
-    value of one row, or of the size of several.
+    value of one row, or of the size of several. `friction` gives what dry friction adds
+    (..., n_rows) at positions and speeds.
     """
 
     curves: Callable[[Any], np.ndarray]
     rows: tuple[slice, ...]
     bounds: np.ndarray
+    friction: Callable[[Any, Any], np.ndarray] | None = None
 
     def efforts(self, s: Any, v: Any, a: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the least and largest effort (..., n) that each limit allows, and by how much any effort overruns it.
@@ -53,6 +55,8 @@ class AffineBounds:
         """
         values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
         force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v + values[..., 3, :] * a[..., None]
+        if self.friction is not None:
+            force = force + self.friction(s, v[..., 0])
         acts = values[..., 3, :] * by[..., None] + values[..., 4, :]
         found = [_efforts_of(force[..., r], acts[..., r], *ends) for r, ends in zip(self.rows, self.bounds, strict=True)]
         least, most, over = (np.stack(of, axis=-1) for of in zip(*found, strict=True))
@@ -314,6 +318,7 @@ def _friction(problem: Problem, place: np.ndarray, q: np.ndarray) -> Callable[[A
     poses = scipy.interpolate.CubicSpline(place, q)
 
     def friction(s: Any, v: Any) -> np.ndarray:
+        s, v = np.broadcast_arrays(s, v)
         at, speed = poses(np.ravel(s)), np.ravel(v)[:, None]
         motion = (at, speed, 0.0 * speed, np.zeros((len(at), problem.mechanism.n_u)))
         whole, without = (sampled(f, *motion)[:, 0, 0] for f in (dynamics.residual, dynamics.sliding))
@@ -348,4 +353,15 @@ def _affine(problem: Problem, place: np.ndarray, q: np.ndarray) -> AffineBounds 
         rows.append(slice(begin, begin + own.shape[2]))
         columns.append(own)
     curves = scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2))
-    return AffineBounds(curves=curves, rows=tuple(rows), bounds=np.array([one.bounds for one in limited]))
+    poses = scipy.interpolate.CubicSpline(place, q)
+
+    def friction(s: Any, v: Any) -> np.ndarray:
+        s, v = np.broadcast_arrays(s, v)
+        at, speed = poses(s.ravel()), v.reshape(-1, 1)
+        still, square, linear, *_ = np.moveaxis(curves(s.ravel()), 1, 0)
+        rubbed = np.hstack([one.value(at, speed, 0 * speed, 0 * speed) for one in limited])
+        return (rubbed - still - square * speed**2 - linear * speed).reshape(*v.shape, -1)
+
+    rubs = any(frictions_of(problem.mechanism.model))
+    bounds = np.array([one.bounds for one in limited])
+    return AffineBounds(curves=curves, rows=tuple(rows), bounds=bounds, friction=friction if rubs else None)

@@ -95,7 +95,8 @@ CRANK = """<mujoco><worldbody>
 <body><joint name="O" axis="0 1 0" damping="0.4" {friction}/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
 <body pos="0.3 0 0"><joint name="A" axis="0 1 0"/><inertial pos="0.4 0 0" mass="1" diaginertia="0.05 0.05 0.05"/>
 <site name="tip" pos="0.8 0 0"/></body></body>
-<body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0" {friction}/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
 <site name="pin"/></body></worldbody>
 <equality><connect name="pin" site1="tip" site2="pin"/></equality>
 <actuator><motor name="u" joint="{driven}" gear="2" ctrlrange="-60 50"/></actuator></mujoco>"""
@@ -124,8 +125,10 @@ def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
 
 
 @pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
-def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
-    problem = crank(start, goal, driven="A", closure_force={"pin": 400.0})
+@pytest.mark.parametrize("friction", ["", 'frictionloss="1.5"'])
+@pytest.mark.parametrize("driven", ["A", "O"])
+def test_the_field_has_the_mechanism_s_pin_forces(start, goal, friction, driven):
+    problem = crank(start, goal, friction, driven, closure_force={"pin": 400.0})
     mechanism, way = problem.mechanism, np.sign(goal - start)
     found = field_along(problem, parts_of(problem.motion)[0], problem.start_pose())
     (closure,) = problem.limits.limited_closures
@@ -136,7 +139,16 @@ def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
         exact = closure_forces(problem, pose, v, a, u)[0, closure] / 400.0
         still, square, linear, by_a, by = found.affine.curves(s)
         force = still + square * v[0, 0] ** 2 + linear * v[0, 0] + by_a * a.item() + by * effort
+        force += 0.0 if found.affine.friction is None else found.affine.friction(s, v[0, 0])
+        assert (found.affine.friction is None) is (friction == "")
         assert np.linalg.norm(force) / 400.0 == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_dry_friction_beside_a_limit_on_acceleration_leaves_a_plan_of_legs():
+    problem = crank(20.0, 80.0, 'frictionloss="1.5"', acceleration_deg_s2={"A": 3000.0})
+    legs, _ = power_legs(problem, problem.start_pose())
+    assert all(leg.is_possible() for leg in legs)
 
 
 def test_a_descent_that_no_effort_brakes_has_no_legs():
