@@ -359,7 +359,8 @@ def margin_of(of: Limit, measured: Measured, points: np.ndarray, time: np.ndarra
 
 def clipped(margin: Margin, bounds: Sequence[float] | np.ndarray) -> Margin:
     """Return the margin of an overrun limit, with its value clipped to wider bounds [low, high]."""
-    value = float(np.clip(margin.value, *bounds))
+    low, high = bounds
+    value = float(np.clip(margin.value, low, high))
     left = -abs(value - margin.limit)
     return structs.replace(margin, value=value, left=left, overrun=np.minimum(margin.overrun, -left / margin.size))
 
