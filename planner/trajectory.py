@@ -140,11 +140,15 @@ class Trajectory(OnIntervals):
         acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self.times_within(time_s))
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
 
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self.breaks_s) - 1} intervals, {self.duration_s:.6g} s)"
+
     def jerk_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return v'' (n, n_s) [rad/s3 or m/s3] within the intervals at times (n,) of the motion."""
+        """Return v'' (n, n_s) [rad/s3 or m/s3] within the intervals at times (n,); zero outside as the acceleration."""
         velocity = PiecewisePolynomial(self.velocity, self.breaks_s)
         with np.errstate(over="ignore", invalid="ignore"):  # the duration in an edited file may be 1e-200 s
-            return velocity.derivative().derivative()(self.times_within(time_s))
+            jerk = velocity.derivative().derivative()(self.times_within(time_s))
+        return np.where(self._inside(time_s)[:, None], jerk, 0.0)
 
     def acceleration_jumps(self) -> np.ndarray:
         """Return the changes of acceleration (n_breaks, n_s) [rad/s2 or m/s2] at the breaks; rounding is zero.

@@ -36,6 +36,11 @@ def accelerations(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndar
     return sampled(joint_acceleration(mechanism), q, v, a)[:, :, 0]
 
 
+def jerks(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Return every joint's jerk (n, n_q), from those of the independent joints j (n, n_s)."""
+    return sampled(joint_jerk(mechanism), q, v, a, j)[:, :, 0]
+
+
 @functools.lru_cache(maxsize=16)
 def joint_acceleration(mechanism: Mechanism) -> ca.Function:
     """Return the function from q, v and a to every joint's acceleration (n_q,)."""

@@ -129,6 +129,11 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     def _left(self, what: str, unit: str) -> dict[str, float]:
         return {margin.name: margin.left for margin in self.margins if (margin.what, margin.unit) == (what, unit)}
 
+    def __repr__(self) -> str:
+        said = "passed" if self.passed else f"NOT passed: {self.failures[0]}"
+        more = f"; and {len(self.failures) - 1} more" if len(self.failures) > 1 else ""
+        return f"Certificate({said}{more}; {len(self.margins)} margins)"
+
     @property
     def repairable(self) -> bool:
         """Whether another mesh may remove a failure."""

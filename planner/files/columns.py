@@ -27,7 +27,7 @@ ARRAYS, ALONG = ("breaks_s", "position", "velocity", "effort", "start_pose"), "a
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
 # The units in which column headers end; the first one that fits counts.
-_UNITS = ("deg/s2", "deg/s", "deg", "m/s2", "m/s", "m", "N.m", "N")
+_UNITS = ("deg/s3", "deg/s2", "deg/s", "deg", "m/s3", "m/s2", "m/s", "m", "N.m", "N")
 Kind = Literal["number", "count", "flag", "word"]
 # The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
 _ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
+from linkplan.models.poses.along import accelerations, jerks, joint_rates, sampled, site_motion
 from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.joints import bounds_of_joint, claim_of_joint, measured_of_joint
 from linkplan.planner.limits.limit import (
@@ -116,7 +116,7 @@ class JerkLimit(Limit):
 
     def measured(self, at: Samples) -> Measured:
         own, mechanism = self.column is not None, at.problem.mechanism
-        jerk = at.jerk[:, self.column] if own else sampled(joint_jerk(mechanism), at.q, at.v, at.a, at.jerk)[:, self.item, 0]
+        jerk = at.jerk[:, self.column] if own else jerks(mechanism, at.q, at.v, at.a, at.jerk)[:, self.item]
         jump = joint_rates(mechanism, at.q, at.acceleration_jumps)[:, self.item]  # Gamma a
         return measured_of_joint(self, at, "/s3", np.where(jump == 0, jerk, np.copysign(np.inf, jump)))
 

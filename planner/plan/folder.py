@@ -167,6 +167,16 @@ def read_plan(
     return plan
 
 
+def plan_without_motion(folder: Path, saved: PlanRecord) -> Plan:
+    """Return the plan of a record without a motion, whose problem is built again as if it had been saved in `folder`.
+
+    Raises:
+        PlanFileError: if its problem cannot be built, or its model has changed.
+    """
+    verdict = saved.verdict or Verdict(kind=saved.status, words=saved.message)
+    return Plan(problem=_rebuilt_problem(saved, folder, Problem.from_tables), verdict=verdict, history=saved.history)
+
+
 def read_to_prove(folder: str | Path) -> Plan:
     """Return a saved plan whether or not its motion passes; its certificate is None if its loops cannot close.
 

@@ -14,7 +14,7 @@ from msgspec import structs
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import LinkplanError, PlanError, ProblemError
 from linkplan.models.extras import load_extra
-from linkplan.models.poses.along import joint_rates, whole_turns
+from linkplan.models.poses.along import accelerations, jerks, joint_rates, sampled, site_motion, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.tree.joints import shown_by_name
@@ -35,30 +35,45 @@ from linkplan.planner.transcription.collocation import Transcribed
 class MotionTable:
     """A motion at times (n,) [s]: by joint in degrees, or m for slides; by actuator [N.m or N]; by site (n, 3) [m].
 
-    `acceleration_deg_s2` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the
-    unit by actuator. `site` are the sites that the problem names, in the world's frame, and `body_deg` the angles of the
-    bodies that it names.
+    `unit` is the unit of positions by joint, `effort_unit` the unit by actuator. `site` are the places of the sites that the
+    problem names, in the world's frame, with their derivatives by time, and `body_deg` the angles of the bodies that it
+    names. Jerks are those within the intervals: where efforts jump, they are infinite.
     """
 
     time_s: np.ndarray
     position_deg: dict[str, np.ndarray]
     speed_deg_s: dict[str, np.ndarray]
     acceleration_deg_s2: dict[str, np.ndarray]
+    jerk_deg_s3: dict[str, np.ndarray]
     effort: dict[str, np.ndarray]
     unit: dict[str, str]
     effort_unit: dict[str, str]
     site: dict[str, np.ndarray]
+    site_speed_m_s: dict[str, np.ndarray]
+    site_acceleration_m_s2: dict[str, np.ndarray]
+    site_jerk_m_s3: dict[str, np.ndarray]
     body_deg: dict[str, np.ndarray]
+
+    def __repr__(self) -> str:
+        time = np.atleast_1d(self.time_s)
+        ends = (
+            f"{time.min():.6g} s" if time.size == 1 else f"{time.size} instants from {time.min():.6g} to {time.max():.6g} s"
+        )
+        names = {"joints": self.position_deg, "actuators": self.effort, "sites": self.site, "bodies": self.body_deg}
+        parts = "; ".join(f"{word} {', '.join(found)}" for word, found in names.items() if found)
+        return f"MotionTable({ends}: {parts})"
 
     def single(self) -> MotionTable:
         """Return the first row, with numbers instead of arrays."""
-        of_arrays = ("position_deg", "speed_deg_s", "acceleration_deg_s2", "effort", "body_deg")
-        first = {key: {name: float(x[0]) for name, x in getattr(self, key).items()} for key in of_arrays}
-        sites = {name: place[0] for name, place in self.site.items()}
-        return replace(self, time_s=float(self.time_s[0]), site=sites, **first)
+        tables = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("unit", "effort_unit")}
+        time = float(tables.pop("time_s")[0])
+        first = {
+            key: {name: x[0] if x.ndim > 1 else float(x[0]) for name, x in table.items()} for key, table in tables.items()
+        }
+        return replace(self, time_s=time, **first)
 
     def by_quantity(self) -> dict[str, dict[str, tuple[str, np.ndarray]]]:
-        """Return the unit and the values by name of position, speed, acceleration, effort, site and body."""
+        """Return the unit and the values by name of the motion of joints and sites, of efforts and of angles of bodies."""
 
         def rates(values: dict[str, np.ndarray], per: str) -> dict[str, tuple[str, np.ndarray]]:
             return {name: (self.unit[name] + per, x) for name, x in values.items()}
@@ -67,8 +82,12 @@ class MotionTable:
             "position": rates(self.position_deg, ""),
             "speed": rates(self.speed_deg_s, "/s"),
             "acceleration": rates(self.acceleration_deg_s2, "/s2"),
+            "jerk": rates(self.jerk_deg_s3, "/s3"),
             "effort": {name: (self.effort_unit[name], x) for name, x in self.effort.items()},
             "site": {name: ("m", x) for name, x in self.site.items()},
+            "site_speed": {name: ("m/s", x) for name, x in self.site_speed_m_s.items()},
+            "site_acceleration": {name: ("m/s2", x) for name, x in self.site_acceleration_m_s2.items()},
+            "site_jerk": {name: ("m/s3", x) for name, x in self.site_jerk_m_s3.items()},
             "body": {name: ("deg", x) for name, x in self.body_deg.items()},
         }
 
@@ -76,12 +95,15 @@ class MotionTable:
         """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg."""
         of = self.by_quantity()
         rows = [(name, *of[key][name]) for name in self.position_deg for key in ("position", "speed")]
-        rows += [(name, *row) for key in ("acceleration", "effort") for name, row in of[key].items()]
+        rows += [(name, *row) for key in ("acceleration", "jerk", "effort") for name, row in of[key].items()]
         found = {"time_s": self.time_s} | {head_of(name, unit): values for name, unit, values in rows}
-        for name, place in self.site.items():
-            heads = [f"{name}_{axis}_m" for axis in AXES]
-            taken = any(head in found for head in heads)  # by a slide of that name
-            found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
+        for name in self.site:
+            quantities = [of[key][name] for key in ("site", "site_speed", "site_acceleration", "site_jerk")]
+            columns = {
+                head_of(f"{name}_{axis}", unit): values[:, k] for unit, values in quantities for k, axis in enumerate(AXES)
+            }
+            taken = not found.keys().isdisjoint(columns)  # by a slide of that name
+            found |= {f"site_{head}" if taken else head: values for head, values in columns.items()}
         for name, angle in self.body_deg.items():
             head = f"body_{name}_deg"
             found[f"body_{head}" if head in found else head] = angle  # a hinge of that name has this head
@@ -90,9 +112,11 @@ class MotionTable:
     def named_arrays(self) -> tuple[dict, dict]:
         """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
         joints, actuators = list(self.position_deg), list(self.effort)
-        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-            "position_deg": (("time_s", "joint"), np.column_stack([self.position_deg[name] for name in joints])),
-            "speed_deg_s": (("time_s", "joint"), np.column_stack([self.speed_deg_s[name] for name in joints])),
+        by_joint = {
+            key: (("time_s", "joint"), np.column_stack([getattr(self, key)[name] for name in joints]))
+            for key in ("position_deg", "speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3")
+        }
+        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = by_joint | {
             "effort": (("time_s", "actuator"), np.column_stack([self.effort[name] for name in actuators])),
         }
         coordinates = {
@@ -103,7 +127,8 @@ class MotionTable:
             "actuator_unit": ("actuator", [self.effort_unit[name] for name in actuators]),
         }
         if self.site:
-            variables["site"] = (("time_s", "site_name", "axis"), np.stack(list(self.site.values()), axis=1))
+            for key in ("site", "site_speed_m_s", "site_acceleration_m_s2", "site_jerk_m_s3"):
+                variables[key] = (("time_s", "site_name", "axis"), np.stack(list(getattr(self, key).values()), axis=1))
             coordinates |= {"site_name": list(self.site), "axis": list(AXES)}
         if self.body_deg:
             variables["body_deg"] = (("time_s", "body"), np.column_stack(list(self.body_deg.values())))
@@ -159,18 +184,26 @@ def motion_table(
     poses = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)
     gone = whole_turns(mechanism, poses[-1] - poses[0]) if np.any(trajectory.advance) else np.zeros(mechanism.n_q)
     q = poses[back[len(dense) :]] + trajectory.periods_at(time)[:, None] * gone
-    rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
-    accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
+    v, a, jerk = (of(time) for of in (trajectory.velocity_at, trajectory.acceleration_at, trajectory.jerk_at))
+
+    def of_sites(order: int) -> dict[str, np.ndarray]:
+        motion = (q, v, a, jerk)[: max(3, order + 1)]
+        values = sampled(site_motion(mechanism, order), *motion) if problem.sites else np.empty((len(q), 3, 0))
+        return {name: values[:, :, index] for name, index in problem.sites.items()}
 
     return MotionTable(
         time_s=time,
         position_deg=shown_by_name(mechanism.joints, q),
-        speed_deg_s=shown_by_name(mechanism.joints, rates),
-        acceleration_deg_s2=shown_by_name(mechanism.independent_joints, accelerations),
-        effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
+        speed_deg_s=shown_by_name(mechanism.joints, joint_rates(mechanism, q, v)),
+        acceleration_deg_s2=shown_by_name(mechanism.joints, accelerations(mechanism, q, v, a)),
+        jerk_deg_s3=shown_by_name(mechanism.joints, jerks(mechanism, q, v, a, jerk)),
+        effort={actuator.name: u for actuator, u in zip(mechanism.actuators, trajectory.effort_at(time).T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
         site={name: places_of(mechanism, index, q) for name, index in problem.sites.items()},
+        site_speed_m_s=of_sites(1),
+        site_acceleration_m_s2=of_sites(2),
+        site_jerk_m_s3=of_sites(3),
         body_deg={name: np.degrees(angles_of(mechanism, index, q)) for name, index in problem.bodies.items()},
     )
 
@@ -328,7 +361,7 @@ class Plan:
         return len(self.trajectory.breaks_s) - 1
 
     def sample(self, time_s: float | np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
-        """Return the motion at times: `position_deg`, `speed_deg_s`, `acceleration_deg_s2` by joint, `effort` by actuator.
+        """Return the motion at times: positions and their derivatives by joint and site, `effort` by actuator.
 
         Args:
             time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
@@ -336,11 +369,11 @@ class Plan:
             jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
 
         Returns:
-            `time_s`; `position_deg` [deg, or m of slides] and `speed_deg_s` of all joints by name; `acceleration_deg_s2` of
-            the independent joints; `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and
-            `effort_unit` are their units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world
-            frame, and `body_deg` the angles of the bodies that it names. `columns()` returns all columns under heads with
-            units.
+            `time_s`; `position_deg` [deg, or m of slides], `speed_deg_s`, `acceleration_deg_s2` and `jerk_deg_s3` of all
+            joints by name; `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and
+            `effort_unit` are their units. `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world
+            frame, `site_speed_m_s`, `site_acceleration_m_s2` and `site_jerk_m_s3` its derivatives, and `body_deg` the angles
+            of the bodies that it names. `columns()` returns all columns under heads with units.
 
         Raises:
             LinkplanError: if the plan has no motion, or a time is not finite or beyond its ends.
@@ -368,9 +401,10 @@ class Plan:
     def to_dataset(self, time_s: np.ndarray | None = None) -> xarray.Dataset:
         """Return the motion at times (n,) [s] as an xarray data set over time.
 
-        `position_deg` and `speed_deg_s` (m and m/s of slides) have the dimensions `time_s` and `joint`, `effort` [N.m or N]
-        has `time_s` and `actuator`; the coordinates `joint_unit` and `actuator_unit` have their units. `site` [m] has
-        `time_s`, `site_name` and `axis`, if the problem names sites; `body_deg` has `time_s` and `body`.
+        `position_deg`, `speed_deg_s`, `acceleration_deg_s2` and `jerk_deg_s3` (with m of slides) have the dimensions
+        `time_s` and `joint`, `effort` [N.m or N] has `time_s` and `actuator`; the coordinates `joint_unit` and
+        `actuator_unit` have their units. `site` [m] and its derivatives have `time_s`, `site_name` and `axis`, if the
+        problem names sites; `body_deg` has `time_s` and `body`.
 
         Raises:
             MissingPackageError: if xarray is not installed.

@@ -68,7 +68,8 @@ _FILES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, np.ndarray], str, M
 }
 # Arguments that are whole tables of a problem file, arguments that are keys of a table, and arguments that no file has.
 _SECTIONS = tuple(name for name in ProblemFile.__struct_fields__ if name not in ("mechanism", "motion", "objective"))
-_TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
+_OF_OTHERS = {"minimize": "objective", "reserve": "limits", "sites": "output"}
+_TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | _OF_OTHERS
 MECHANISM_ARGUMENTS = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = {
     "extra_costs": "A list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.",
@@ -131,6 +132,8 @@ def values_of(
         mechanism = replace(mechanism, forces=forces)
     minimize: Any = _default_term(asked, reference) if asked.objective.minimize is None else asked.objective.minimize
     objective = objective_from(minimize, extra_costs)
+    for name in asked.output.sites:
+        site_index(mechanism.model, name, "output.sites", ProblemError)
     if asked.guess != GuessSection():
         guess, place = guess_of(asked.guess, mechanism, folder)
         asked = asked if place is None else asked.replace(guess=asked.guess.replace(plan=str(place)))

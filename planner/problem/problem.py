@@ -82,6 +82,7 @@ class Problem:
     tracking: Tracking = field(init=False)
     notes: tuple[str, ...] = field(init=False)  # sentences on automatic choices
     tracked_bodies: Sequence[str] = field(init=False)  # bodies whose angles the reference prescribes
+    shown_sites: Sequence[str] = field(init=False)  # sites of [output]
 
     @classmethod
     @build.with_arguments
@@ -205,10 +206,13 @@ class Problem:
 
     @property
     def sites(self) -> dict[str, int]:
-        """The indices in the model of all sites that the problem names, by name: start, waypoints, goal, limits."""
+        """The indices in the model of all sites that the problem names, by name: motion, limits, path, output."""
         points = [task for task in self.motion.tasks if isinstance(task, SitePoint)]
         paths = () if self.path is None else (self.path,)
-        return {one.site: one.index for one in (*points, *self.limits.site, *paths)}
+        limits = self.limits
+        named = (*limits.site_speed, *limits.site_acceleration, *limits.site_jerk, *self.shown_sites)
+        known = {one.site: one.index for one in (*points, *limits.site, *paths)}
+        return known | {name: self.mechanism.model.site(name).id for name in named}
 
     @property
     def bodies(self) -> dict[str, int]:
@@ -287,6 +291,7 @@ class Problem:
         found = build.values_of(to_toml_types(self.sections), folder, loaded, extra_costs)
         sections = found["sections"]
         found |= {"extra_costs": extra_costs, "notes": (*self.remarks, *found["notes"])}
+        found["shown_sites"] = tuple(sections.output.sites)
         found["tracked_bodies"] = () if sections.reference is None else tuple(sections.reference.body_deg)
         for name, value in found.items():
             object.__setattr__(self, name, value)

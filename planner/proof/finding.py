@@ -80,6 +80,9 @@ class Proof(Struct, frozen=True, kw_only=True):
         besides = f", existence in {self.existence_seconds:.2g} s" if self.existence_seconds >= 0.01 else ""
         return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s{besides}"
 
+    def __repr__(self) -> str:
+        return f"Proof({self.sentence()})"
+
 
 def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:
     """Return the finding on a number that a computation without boxes gave: proved if it is at most `mark`, else refuted."""

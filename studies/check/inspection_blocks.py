@@ -10,7 +10,7 @@ from linkplan.models.poses.body_angles import sum_text, turning_bodies
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.document import Block, Facts, NumberText, Table, Text, table_of
 from linkplan.studies.output.plan_blocks import figure
 
 
@@ -62,8 +62,8 @@ def reach_table(found: Inspection, reaches: Sequence[Reach], more: str = "") -> 
     rows = [
         [
             joint.name,
-            joint.text(can.lower.position, 5),
-            joint.text(can.upper.position, 5),
+            NumberText.of(joint.text(can.lower.position, 5), joint.shown(can.lower.position)),
+            NumberText.of(joint.text(can.upper.position, 5), joint.shown(can.upper.position)),
             joint.unit,
             can.lower.reason,
             can.upper.reason,

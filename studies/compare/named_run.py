@@ -53,6 +53,9 @@ class NamedRun(Rollout):
         """The applied efforts (n,) [N.m or N] by actuator, averaged over each control period."""
         return {one.name: values for one, values in zip(self.mechanism.actuators, self.applied.T, strict=True)}
 
+    def __repr__(self) -> str:
+        return f"NamedRun({len(self.time_s)} control instants, {self.time_s[-1]:.6g} s: {', '.join(self.position_deg)})"
+
     def to_frame(self) -> pandas.DataFrame:
         """Return the log as a pandas table, with a row for each control instant and units in the columns' names.
 

@@ -20,6 +20,22 @@ RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
 Cell = bool | int | float | str | None
 
 
+class NumberText(str):
+    """A cell whose text has its own digits, such as "0.12 ± 0.01".
+
+    `numbers` are those that a frame has in its place, by the words that are appended to the column's head: "" for none.
+    """
+
+    numbers: Mapping[str, float]
+
+    @classmethod
+    def of(cls, text: str, *numbers: float, words: Sequence[str] = ("",)) -> "NumberText":
+        """Return the text of numbers with their words."""
+        found = cls(text)
+        found.numbers = dict(zip(words, map(float, numbers), strict=True))
+        return found
+
+
 def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
     """Raise a ValueError if the lengths differ, which is a programming error."""
     if len(values) != len(others):

@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, jerks, sampled, site_motion
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.samples import Samples
@@ -22,6 +23,7 @@ from linkplan.studies.output.pin_forces import pin_forces
 # A position [rad or m], speed [per second] or effort [N.m or N] that is never larger is zero: it consists of rounding
 # errors.
 LEAST_SHOWN = 1e-9
+_SITE_RATES = ("speed", "acceleration", "jerk")  # the derivatives of a site's place, in order
 
 
 def drawn_motion(plan: Plan) -> Samples:
@@ -77,7 +79,7 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
                 limits=tuple(joint.shown(getattr(limits, key)[k]).tolist()),
             )
             for k in which
-            if np.any(np.abs(values[:, k]) > LEAST_SHOWN)
+            if np.any(np.abs(values[:, k]) > LEAST_SHOWN * max(1.0, np.abs(values).max()))
         ]
 
     def actuators(key: str, values: np.ndarray, unit: str = "") -> list[Line]:
@@ -91,14 +93,19 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
             Line(name=f"{joint.name}, reference", values=joint.shown(x), unit=joint.unit, look="dash", colour=None)
             for joint, x in zip(mechanism.independent_joints, wanted.T, strict=True)
         ]
-    rates, powers = motion.joint_rates, motion.u * motion.actuator_speeds
-    drawn = (
+    rates, powers, every = motion.joint_rates, motion.u * motion.actuator_speeds, range(mechanism.n_q)
+    bends = accelerations(mechanism, motion.q, motion.v, motion.a)
+    changes = jerks(mechanism, motion.q, motion.v, motion.a, motion.jerk)
+    drawn: tuple[tuple[str, str, str, list[Line]], ...] = (
         ("position", "Position of the independent joints", "position", positions),
         ("dependent position", "Position of the dependent joints", "position", joints(dependent, "position", motion.q)),
         ("site", "Sites", "place", _site_lines(plan, motion)),
         ("site", "Angles of bodies", "angle", _body_lines(plan, motion)),
         ("speed", "Speed of the independent joints", "speed", joints(independent, "speed", rates, "/s")),
         ("dependent speed", "Speed of the dependent joints", "speed", joints(dependent, "speed", rates, "/s")),
+        ("acceleration", "Acceleration of the joints", "acceleration", joints(every, "acceleration", bends, "/s2")),
+        ("jerk", "Jerk of the joints between jumps of acceleration", "jerk", joints(every, "jerk", changes, "/s3")),
+        *((key, f"{key.capitalize()} of the sites", key, _site_rates(plan, motion, key)) for key in _SITE_RATES),
         ("effort", "Effort of the actuators", "effort", actuators("effort", motion.u)),
         ("power", "Mechanical power of the actuators", "power", actuators("power", powers, "W")),
     )
@@ -145,6 +152,24 @@ def _site_lines(plan: Plan, motion: Samples) -> list[Line]:
             if np.ptp(values) > 1e-6 * mechanism.extent_m:
                 lines.append(Line(name=f"{name}, {axis}", values=1e3 * values, unit="mm"))
     return lines
+
+
+def _site_rates(plan: Plan, motion: Samples, key: str) -> list[Line]:
+    """Return the size of a derivative of the sites that a problem names, with its limits."""
+    order, mechanism = _SITE_RATES.index(key) + 1, plan.problem.mechanism
+    if not plan.problem.sites:
+        return []
+    values = sampled(site_motion(mechanism, order), *(motion.q, motion.v, motion.a, motion.jerk)[: max(3, order + 1)])
+    most, unit = getattr(plan.problem.limits, f"site_{key}"), f"m/s{order if order > 1 else ''}"
+    return [
+        Line(
+            name=name,
+            values=np.linalg.norm(values[:, :, index], axis=1),
+            unit=unit,
+            limits=(-np.inf, most.get(name, np.inf)),
+        )
+        for name, index in plan.problem.sites.items()
+    ]
 
 
 def _body_lines(plan: Plan, motion: Samples) -> list[Line]:

@@ -20,7 +20,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.refinement.history import Step
 from linkplan.studies.output.certificate_list import certificate_list
-from linkplan.studies.output.document import Axis, Block, Facts, Plane, Series, Table, Text, table_of
+from linkplan.studies.output.document import Axis, Block, Facts, NumberText, Plane, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
 from linkplan.studies.output.pin_forces import pin_forces
 from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
@@ -75,7 +75,7 @@ def radius_figure(radius: float | None) -> str:
     if radius is None:
         return "-"
     beyond = radius - 1.0
-    return f"1{beyond:+.1e}" if 0 < abs(beyond) < 5e-4 else figure(radius, 4)
+    return NumberText.of(f"1{beyond:+.1e}" if 0 < abs(beyond) < 5e-4 else figure(radius, 4), radius)
 
 
 def objective_unit(problem: Problem) -> str:
@@ -258,7 +258,7 @@ def solves(plan: Plan) -> Table:
 
     def cell(step: Step, field: str) -> Any:
         value = getattr(step, field)
-        return figure(value, digits) if field == "objective" and value is not None else value
+        return NumberText.of(figure(value, digits), value) if field == "objective" and value is not None else value
 
     rows = [[cell(step, field) for field in _STEP_HEADS] for step in plan.history]
     return table_of("Attempts in their order, each with its mesh", [*_STEP_HEADS.values()], rows, digits=3)
@@ -295,7 +295,7 @@ def _table(title: str, findings: Sequence[Finding], names: Iterable[str]) -> Tab
             f.name,
             _digits(f.bound),
             _digits(f.mark),
-            None if f.margin is None else f"{f.margin:.3g}",
+            None if f.margin is None else NumberText.of(f"{f.margin:.3g}", f.margin),
             f.unit,
             f.boxes,
             f.time_s,
@@ -310,4 +310,4 @@ def _table(title: str, findings: Sequence[Finding], names: Iterable[str]) -> Tab
 
 def _digits(value: float | None) -> str | None:
     """Return a number with nine digits; zero for the smallest numbers, which balls produce by rounding up."""
-    return None if value is None else "0" if abs(value) < np.finfo(float).tiny else f"{value:.9g}"
+    return None if value is None else NumberText.of("0" if abs(value) < np.finfo(float).tiny else f"{value:.9g}", value)

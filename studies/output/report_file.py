@@ -29,7 +29,8 @@ _SHOWN_HEIGHT_PX = 640
 
 def document_json(report: Report) -> bytes:
     """Return a document as JSON."""
-    return msgspec.json.encode(report, enc_hook=lambda value: value.item())  # numpy's numbers
+    # numpy's numbers, and texts of numbers
+    return msgspec.json.encode(report, enc_hook=lambda value: str(value) if isinstance(value, str) else value.item())
 
 
 def report_html(report: Report, served: str = "") -> str:

@@ -89,7 +89,7 @@ class Result(Reported):
         return True
 
     def to_frame(self, table: str | int = 0) -> pandas.DataFrame:
-        """Return one of the result's tables as a pandas table, with units in the columns' names and digits as shown.
+        """Return one of the result's tables as a pandas table of numbers, with units in the columns' names.
 
         Args:
             table: its title or the beginning of the title, or its index among the result's tables.
@@ -98,7 +98,8 @@ class Result(Reported):
             MissingPackageError: if pandas is not installed.
             LinkplanError: if the result has no such table; the message lists its tables.
         """
-        from linkplan.studies.output.document import Table
+        from linkplan.studies.output.document import NumberText, Table
+        from linkplan.studies.output.text import headed
 
         pandas = load_extra("pandas", f"{type(self).__name__}.to_frame")
         tables = [block for block in self.blocks() if isinstance(block, Table)]
@@ -106,8 +107,15 @@ class Result(Reported):
         if not found:
             titles = ", ".join(f"{k} '{one.title}'" for k, one in enumerate(tables)) or "none"
             raise LinkplanError(f"unknown table {table!r}; this result has {titles}")
-        heads = [f"{head} [{unit}]" if unit else head for head, unit in found[0].columns]
-        return pandas.DataFrame([list(row) for row in found[0].rows], columns=heads)
+        columns = []
+        for k, (head, unit) in enumerate(found[0].columns):
+            cells = [row[k] for row in found[0].rows]
+            words = dict.fromkeys(word for cell in cells if isinstance(cell, NumberText) for word in cell.numbers)
+            for word in words or [""]:
+                values = [cell.numbers.get(word) if isinstance(cell, NumberText) else cell for cell in cells]
+                columns.append((headed(f"{head} {word}".rstrip(), unit), values))
+        frame = pandas.DataFrame({k: values for k, (_, values) in enumerate(columns)})
+        return frame.set_axis([head for head, _ in columns], axis="columns")
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
         """Yield the figures by the names of their files, that of `plot` first; by default there are none."""

@@ -59,13 +59,25 @@ def test_new_puts_motors_on_joints_as_its_refusal_offers():
     assert linkplan.new(arm, drive=["arm"]).planned
 
 
-def test_a_batch_is_a_table():
+def test_a_batch_is_a_table_of_numbers_and_its_plans():
     durations = linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2, 0.01]}})
     assert not durations.passed
     assert len(durations.failures) == 1
     found = durations.to_dict()["cases"]
     assert [case["status"] for case in found.values()] == ["optimal", "optimal", "infeasible"]
     assert durations._repr_html_().count("<tr>") == 4
+    assert [plan.status for plan in durations.plans] == ["optimal", "optimal", "infeasible"]
+    assert durations.plans[1].sample(0.1).time_s == 0.1
+    assert durations.plans[-1].verdict.remedy["motion.duration_s"] > 0.01
+    assert [plan.duration_s for plan in durations.plans[:2]] == pytest.approx([0.16, 0.2])
+    pytest.importorskip("pandas")
+    frame = durations.to_frame()
+    assert list(frame["motion.duration_s"]) == [0.16, 0.2, 0.01]
+    assert list(frame["peak effort [N.m]"][:2]) == pytest.approx(
+        [plan.certificate.peak_effort[0] for plan in durations.plans[:2]], rel=1e-3
+    )
+    known = [plan.objective for plan in durations.plans[:2]]
+    assert list(frame["objective [N2 m2 s]"][:2]) == pytest.approx(known, rel=1e-5)
     assert_refused(lambda: linkplan.batch({"problem": "knee-reach"}), "a batch must have")
 
 

@@ -1,6 +1,7 @@
 """`plan` and `Plan`: the answer, its samples in users' units, its folder; `Planner`."""
 
 import csv
+import itertools
 import logging
 import pickle
 import types
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 import linkplan
 from linkplan.models.errors import LinkplanError, PlanError, PlanFileError, ProblemError
+from linkplan.planner.plan.plan import sample_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
 from tests.support.refusals import assert_refused
@@ -75,7 +77,7 @@ def test_samples_are_in_degrees_and_hold_the_dependent_joints(plan):
     assert motion.unit == {"O": "deg", "A": "deg", "C": "deg"}
     assert motion.effort_unit == {"act_O": "N.m"}
     assert motion.speed_deg_s["A"] == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert list(motion.acceleration_deg_s2) == ["O"]
+    assert list(motion.acceleration_deg_s2) == list(motion.jerk_deg_s3) == ["O", "A", "C"]
     mechanism = plan.problem.mechanism
     q = np.radians([motion.position_deg[joint.name] for joint in mechanism.joints]).T
     assert np.ptp(motion.position_deg["A"]) > 30
@@ -94,13 +96,29 @@ def test_samples_do_not_depend_on_the_order_or_company_of_their_times(plan):
         assert together.effort["act_O"][k] == alone.effort["act_O"]
 
 
-def test_speeds_are_the_slopes_of_positions(plan):
-    time, step = np.array([0.03, 0.1]), 1e-6
-    before, after, there = plan.sample(time - step), plan.sample(time + step), plan.sample(time)
-    for name, speed in there.speed_deg_s.items():
-        slope = (after.position_deg[name] - before.position_deg[name]) / (2 * step)
-        assert slope == pytest.approx(speed, rel=1e-5)
-        assert abs(speed).min() > 1.0
+def test_speeds_accelerations_and_jerks_of_joints_and_shown_sites_are_slopes(plan):
+    problem = plan.problem.replace(output={"sites": ["B_rocker"]})
+    time, step = np.array([0.0301, 0.1003]), 1e-6  # within intervals
+    before, after, there = (sample_motion(problem, plan.trajectory, time + by) for by in (-step, step, 0.0))
+    joints = ("position_deg", "speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3")
+    sites = ("site", "site_speed_m_s", "site_acceleration_m_s2", "site_jerk_m_s3")
+    for quantity, rate in (*itertools.pairwise(joints), *itertools.pairwise(sites)):
+        for name, found in getattr(there, rate).items():
+            slope = (getattr(after, quantity)[name] - getattr(before, quantity)[name]) / (2 * step)
+            assert slope == pytest.approx(found, rel=1e-4, abs=1e-6)
+            assert np.abs(found).max() > 0.1
+    assert list(there.site) == ["B_rocker"]
+    assert {"A_deg_s2", "C_deg_s3", "B_rocker_x_m_s3"} <= there.columns().keys()
+    assert_refused(lambda: plan.problem.replace(output={"sites": ["tol"]}), "unknown site 'tol' in output.sites")
+
+
+def test_a_notebook_shows_certificate_proof_and_samples_in_a_line(plan):
+    shown = [repr(one) for one in (plan.certificate, plan.sample(), plan.trajectory, plan.prove(existence=False))]
+    assert shown[0] == "Certificate(passed; 4 margins)"
+    assert shown[1] == "MotionTable(401 instants from 0 to 0.16 s: joints O, A, C; actuators act_O)"
+    assert shown[2] == "Trajectory(40 intervals, 0.16 s)"
+    assert shown[3].startswith("Proof(proved: ")
+    assert max(map(len, shown)) < 100
 
 
 def test_times_beyond_the_ends_of_a_motion_are_refused_and_a_periodic_one_goes_on(plan, sine):

@@ -196,6 +196,16 @@ class TrackingSection(Section, frozen=True):
     horizon_s: kinds.Positive = key("mpc: the horizon over which efforts satisfy their limits", "s", default=0.1)
 
 
+class OutputSection(Section, frozen=True):
+    """What the plan's table, figures and report show besides joints and efforts."""
+
+    sites: kinds.Sites = key(
+        "sites whose path, speed, acceleration and jerk are shown, besides those that the problem names elsewhere",
+        otherwise="none",
+        default=[],
+    )
+
+
 class ProblemFile(Section, frozen=True, kw_only=True):
     """A problem: a motion of a mechanism that minimises an objective within limits."""
 
@@ -220,6 +230,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     mesh: MeshSection = key("the discretisation", otherwise="chosen", default=MeshSection())
     solver: SolverSection = key("the solver's settings", otherwise="chosen", default=SolverSection())
     tracking: TrackingSection = key("the plan's tracking", otherwise="PD", default=TrackingSection())
+    output: OutputSection = key("what is shown in addition", otherwise="nothing", default=OutputSection())
     imperfections: ImperfectionsSection = key(
         "imperfections of the machines that an experiment simulates",
         otherwise="those of a carefully built machine",

@@ -22,6 +22,7 @@ from linkplan.studies.output.document import (
     Code,
     DrawnLimit,
     Facts,
+    NumberText,
     Plot,
     Report,
     Section,
@@ -229,7 +230,7 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
     shown, coordinates = loops[0].point.told, loops[0].point.mechanism.independent_joints
     rows = [
         [
-            *(coordinates[k].text(loop.point.state[k], 5) for k in shown),
+            *(NumberText.of(coordinates[k].text(x := loop.point.state[k], 5), coordinates[k].shown(x)) for k in shown),
             loop.stable,
             loop.bandwidth_hz,
             loop.phase_margin_deg,

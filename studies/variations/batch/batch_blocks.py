@@ -1,23 +1,81 @@
 """The result of a batch, whose fields are the record `batch.json`: the settings and the plan of every case."""
 
-from typing import Any
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, overload
 
+import msgspec
 from msgspec import Struct
 
-from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.files.structs import NOT_READ, Beside, read_value
+from linkplan.planner.files.tables import parse_value
+from linkplan.planner.plan.folder import plan_without_motion, read_plan
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.record import PlanRecord
 from linkplan.planner.problem.keys.sections import CaseSection
 from linkplan.studies.output.document import Block, Report, Section, Text, table_of
-from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit
+from linkplan.studies.output.numbers import significant
+from linkplan.studies.output.plan_blocks import objective_digits, objective_unit
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.result import Result
 
 
+class CaseRow(Struct, frozen=True, kw_only=True):
+    """A case's row of the table: its settings by key, and the figures of its plan, rounded to the digits that are known."""
+
+    name: str
+    settings: dict[str, bool | int | float | str]
+    status: str
+    objective: float | None
+    objective_unit: str
+    duration_s: float | None
+    peak_effort: dict[str, float]
+    """The largest effort of all actuators of a unit, by unit."""
+    solver_s: float
+    start: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False, slots=True)
+class CasePlans(Sequence[Plan]):
+    """The plans of a batch in the order of its cases, each read and certified again when it is asked for.
+
+    A case without a certified motion has a plan with its verdict only. `temporary` is the folder's owner, if it is deleted
+    together with this object.
+    """
+
+    folder: Path
+    cases: Mapping[str, Mapping[str, Any]]
+    temporary: TemporaryDirectory | None = None
+
+    def __len__(self) -> int:
+        return len(self.cases)
+
+    @overload
+    def __getitem__(self, index: int) -> Plan: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Plan]: ...
+    def __getitem__(self, index: int | slice) -> Plan | Sequence[Plan]:
+        name = list(self.cases)[index]
+        if isinstance(name, list):
+            return dataclasses.replace(self, cases={one: self.cases[one] for one in name})
+        saved = msgspec.convert(self.cases[name], PlanRecord, dec_hook=read_value)
+        if saved.status in ("optimal", "feasible"):
+            return read_plan(self.folder / name, anyway=True)
+        return plan_without_motion(self.folder / name, saved)
+
+    def __repr__(self) -> str:
+        return f"CasePlans({len(self)} plans in '{self.folder}')"
+
+
 class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
-    """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
+    """The results of a batch: the record of each case, its plan, its row, a sentence for each case without a plan."""
 
     cases: dict[str, dict[str, Any]]
-    rows: Beside[list[list]] = NOT_READ
+    plans: Beside[Sequence[Plan]] = NOT_READ
+    """The plans in the order of the cases. Each is read when it is asked for, so that a large batch takes little memory."""
+    rows: Beside[list[CaseRow]] = NOT_READ
     failures: Beside[tuple[str, ...]] = NOT_READ
 
     @property
@@ -26,9 +84,19 @@ class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
         return not self.failures
 
     def blocks(self) -> list[Block]:
-        """Return the table of the cases, and a line for each case without a plan."""
-        heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "start"]
-        return [table_of("", heads, self.rows), *(Text(text=failure) for failure in self.failures)]
+        """Return the table of the cases, with a column for each key that varies, and a line for each case without a plan."""
+        keys = list(dict.fromkeys(key for row in self.rows for key in row.settings))
+        costs = list(dict.fromkeys(row.objective_unit for row in self.rows if row.objective is not None)) or [""]
+        units = list(dict.fromkeys(unit for row in self.rows for unit in row.peak_effort))
+        heads = ["case", *((key, "") for key in keys), "status", *(("objective", unit) for unit in costs), "duration [s]"]
+        heads += [*(("peak effort", unit) for unit in units), "solver [s]", "start"]
+        cells = [
+            [row.name, *map(row.settings.get, keys), row.status]
+            + [row.objective if row.objective_unit == unit else None for unit in costs]
+            + [row.duration_s, *map(row.peak_effort.get, units), row.solver_s, row.start]
+            for row in self.rows
+        ]
+        return [table_of("", heads, cells, digits=9), *(Text(text=failure) for failure in self.failures)]
 
     def document(self) -> Report:
         """Return the report: the number of cases with a plan, and the blocks of all cases."""
@@ -40,14 +108,26 @@ class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
         return f"BatchOutcome({len(self.rows)} cases, {len(self.failures)} without a plan)"
 
 
-def case_row(case: CaseSection, plan: Plan) -> list:
+def case_row(case: CaseSection, plan: Plan) -> CaseRow:
     """Return a case's row of the table."""
-    problem, digits = plan.problem, objective_digits(plan)
-    duration = None if plan.duration_s is None else figure(plan.duration_s, digits)
-    objective = None if plan.objective is None else f"{figure(plan.objective, min(digits, 6))}{objective_unit(problem)}"
-    peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)
-    peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
-    seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"
-    shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
-    warm = "a solved case" if plan.solved_again else "its own"
-    return [case.name, " ".join(case.set), plan.status, objective, duration, shown, seconds, warm]
+    digits, peaks = objective_digits(plan), {}
+    for effort, actuator in zip(
+        () if plan.certificate is None else plan.certificate.peak_effort, plan.problem.mechanism.actuators, strict=False
+    ):
+        peaks[actuator.unit] = max(peaks.get(actuator.unit, 0.0), float(effort))
+    settings = {}
+    for setting in case.set:
+        key, _, text = (part.strip() for part in setting.partition("="))
+        value = parse_value(text, setting)
+        settings[key] = value if isinstance(value, bool | int | float | str) else text
+    return CaseRow(
+        name=case.name,
+        settings=settings,
+        status=plan.status,
+        objective=significant(plan.objective, min(digits, 6)),
+        objective_unit=objective_unit(plan.problem).strip(),
+        duration_s=significant(plan.duration_s, digits),
+        peak_effort={unit: float(f"{peak:.4g}") for unit, peak in peaks.items()},
+        solver_s=float(f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"),
+        start="a solved case" if plan.solved_again else "its own",
+    )

@@ -20,7 +20,7 @@ from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
 from linkplan.planner.refinement.history import Say
 from linkplan.planner.search.batch import plan_cases
-from linkplan.studies.variations.batch.batch_blocks import case_row
+from linkplan.studies.variations.batch.batch_blocks import CaseRow, case_row
 from linkplan.studies.variations.tasks.streaming import blocks_of
 
 # A block is a sixteenth of the cases, within these bounds. Short blocks use more workers and are quickly repeated after an
@@ -32,7 +32,7 @@ class Planned(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One case's answer: its row of the table, its record, the reason if there is no plan, and the plan's files by name."""
 
     name: str
-    row: list[str | None]
+    row: CaseRow
     record: dict[str, Any]
     failure: str | None
     files: dict[str, bytes] = field(default_factory=dict)
@@ -43,13 +43,13 @@ def case_blocks(n: int) -> list[range]:
     return blocks_of(n, min(_MAX_BLOCK_CASES, max(_MIN_BLOCK_CASES, -(-n // 16))))
 
 
-def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
+def plan_block(batch: BatchFile, block: int, target: Path, parquet: bool, say: Say) -> list[Planned]:
     """Return the answers of a block's cases.
 
     Args:
         batch: the batch.
         block: index of the block.
-        target: the final folder of the plans; None if they are not kept.
+        target: the final folder of the plans.
         parquet: write a trajectory.parquet for every plan.
         say: receives the name of each case.
     """
@@ -57,7 +57,7 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
     cases = [batch.case[i] for i in part]
     for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.case)}: {name}")):
         files = {}
-        if plan.passed and target is not None:
+        if plan.passed:
             with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
                 write_plan(plan, Path(place), target / case.name, parquet=parquet)
                 files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
@@ -73,8 +73,8 @@ def packed(answers: list[Planned]) -> bytes:
     return msgspec.msgpack.encode(answers)
 
 
-def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> list[Planned]:
-    """Return the answers of a block from its file, and write the plans into folders at `place` if given.
+def unpacked(path: Path, cases: Sequence[CaseSection], place: Path) -> list[Planned]:
+    """Return the answers of a block from its file, and write the plans into folders at `place`.
 
     Raises:
         PlanFileError: if the file is damaged, belongs to other cases, or holds an invalid plan.
@@ -85,7 +85,7 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
         answers = msgspec.msgpack.decode(path.read_bytes(), type=list[Planned])
         if [one.name for one in answers] != [case.name for case in cases]:
             raise ValueError("its cases are not those of the batch")
-        for answer in [] if place is None else answers:
+        for answer in answers:
             _unpack(answer, place / answer.name)
     except (msgspec.MsgspecError, ValueError, PlanFileError) as error:
         why = one_line(error)

@@ -16,6 +16,7 @@ from linkplan.studies.output.document import (
     Bar,
     Bars,
     Block,
+    NumberText,
     Report,
     Section,
     Span,
@@ -154,4 +155,5 @@ def whole_column(values: list[float]) -> list[str]:
     whole = abs(values[-1])
     decimals = max(0, _TOTAL_DIGITS - 1 - math.floor(math.log10(whole))) if whole > 0 else 0
     form = f".{_TOTAL_DIGITS - 2}e" if decimals > 2 * _TOTAL_DIGITS else f".{decimals}f"
-    return ["0" if value == 0 else f"{value:z{form}}" for value in values]  # z: no minus sign of a rounded zero
+    # z: no minus sign of a rounded zero
+    return [NumberText.of("0" if value == 0 else f"{value:z{form}}", value) for value in values]

@@ -11,7 +11,20 @@ from msgspec import field
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.compare.named_run import NamedRun
-from linkplan.studies.output.document import Axis, Block, Code, Facts, Plot, Report, Section, Series, Table, Text, table_of
+from linkplan.studies.output.document import (
+    Axis,
+    Block,
+    Code,
+    Facts,
+    NumberText,
+    Plot,
+    Report,
+    Section,
+    Series,
+    Table,
+    Text,
+    table_of,
+)
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import overlaid_width, tracker_colour
 from linkplan.studies.output.numbers import rounded
@@ -124,13 +137,12 @@ def tube_text(experiment: Experiment) -> str:
 def estimated(one: Estimate) -> str:
     """Return a mean ± half of its interval, rounded to the first significant digit of the interval."""
     if not math.isfinite(one.value):
-        return "-"
+        return NumberText.of("-", math.nan)
     if not math.isfinite(one.half) or one.half == 0:
-        return f"{one.value:.3g}"
+        return NumberText.of(f"{one.value:.3g}", one.value)
     digits = max(0, -math.floor(math.log10(one.half)))
-    if digits > 6:
-        return f"{one.value:.3g} ± {one.half:.1g}"
-    return f"{one.value:.{digits}f} ± {one.half:.{digits}f}"
+    text = f"{one.value:.{digits}f} ± {one.half:.{digits}f}" if digits <= 6 else f"{one.value:.3g} ± {one.half:.1g}"
+    return NumberText.of(text, one.value, one.half, words=("", "±"))
 
 
 def _facts(outcome: ExperimentOutcome) -> Facts:
@@ -208,7 +220,8 @@ def _decided(pair: Pair) -> str:
 def _interval(one: Estimate) -> str | None:
     if not math.isfinite(one.value):
         return None
-    return f"{math.floor(1000 * one.low) / 10:g} to {math.ceil(1000 * one.high) / 10:g}"
+    ends = math.floor(1000 * one.low) / 10, math.ceil(1000 * one.high) / 10
+    return NumberText.of(f"{ends[0]:g} to {ends[1]:g}", *ends, words=("from", "to"))
 
 
 def worst(outcome: ExperimentOutcome) -> Table:

@@ -3,7 +3,18 @@
 import math
 from collections.abc import Iterator
 
-from linkplan.studies.output.document import RAISING_COLOUR, TOTAL_COLOUR, Axis, Bar, Bars, Block, Span, Text, table_of
+from linkplan.studies.output.document import (
+    RAISING_COLOUR,
+    TOTAL_COLOUR,
+    Axis,
+    Bar,
+    Bars,
+    Block,
+    NumberText,
+    Span,
+    Text,
+    table_of,
+)
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.sensitivity import Influence, Sensitivity
 
@@ -22,7 +33,9 @@ def sensitivity_blocks(study: Sensitivity) -> list[Block]:
         shown = _foremost(study, metric)
         rows = [[label, *(_cell(one[metric].effects[label]) for one in study.trackers.values())] for label in shown]
         shares = [one[metric].explained for one in study.trackers.values()]
-        rows.append(["all together explain", *(None if math.isnan(share) else f"{100 * share:.0f} %" for share in shares)])
+        rows.append(
+            ["all together explain", *(None if math.isnan(x) else NumberText.of(f"{100 * x:.0f} %", x) for x in shares)]
+        )
         title = f"Influence on the {study.metrics[metric].text}; -: not significant"
         blocks += [table_of(title, heads, rows), *sensitivity_charts(study, metric)]
         if len(study.imperfections) > len(shown):
@@ -70,7 +83,8 @@ def _cell(influence: Influence) -> str | None:
     """Return the strongest coefficient as text, if it is significant."""
     strongest = influence.strongest
     both = " both" if strongest is influence.by_distance else ""
-    return f"{strongest.value:+.2f} ± {strongest.half:.2f}{both}" if influence.significant else None
+    text = f"{strongest.value:+.2f} ± {strongest.half:.2f}{both}"
+    return NumberText.of(text, strongest.value, strongest.half, words=("", "±")) if influence.significant else None
 
 
 def _strongest(study: Sensitivity, tracker: str, metric: str) -> str | None:

@@ -269,7 +269,7 @@ def test_a_motion_tells_where_the_sites_are_that_its_problem_names(tmp_path):
     assert plan.sample(0.3).site["foot"] == pytest.approx(VIA, abs=1e-8)
     rows = plan.sample(np.array([0.0, 0.6]))
     assert rows.site["foot"] == pytest.approx(np.array([ABOVE, BELOW]), abs=1e-8)
-    assert list(rows.columns())[-3:] == ["foot_x_m", "foot_y_m", "foot_z_m"]
+    assert [head for head in rows.columns() if head.startswith("foot_")][:3] == ["foot_x_m", "foot_y_m", "foot_z_m"]
     plan.save(tmp_path / "saved")
     table = np.genfromtxt(tmp_path / "saved" / "trajectory.csv", delimiter=",", names=True)
     assert table["foot_z_m"][[0, -1]] == pytest.approx([0.35, -0.35], abs=1e-8)

@@ -17,6 +17,7 @@ from linkplan.planner.search.batch_file import read_batch
 from linkplan.planner.search.planning import plan_motion, silent
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.batch import study
+from linkplan.studies.variations.batch.batch_blocks import case_row
 from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, unpacked
 from linkplan.studies.variations.batch.study import run_batch
 from linkplan.studies.variations.tasks.engine import processes
@@ -39,7 +40,7 @@ def test_two_processes_make_the_plans_of_one(tmp_path):
     outcome = run_batch(swept(9), tmp_path / "one", silent)
     run_batch(swept(9), tmp_path / "two", silent, engine=processes(2))
     same_plans(tmp_path / "one", tmp_path / "two", 9)
-    assert [row[0] for row in outcome.rows] == [str(i) for i in range(9)]
+    assert [row.name for row in outcome.rows] == [str(i) for i in range(9)]
     assert [text[:3] for text in outcome.failures] == ["1: "]
 
 
@@ -75,7 +76,7 @@ def answer():
     with tempfile.TemporaryDirectory() as place:
         write_plan(optimal("knee-reach"), Path(place))
         files = {path.name: path.read_bytes() for path in Path(place).iterdir()}
-    return Planned(name="0", row=["0"], record={}, failure=None, files=files)
+    return Planned(name="0", row=case_row(CASES[0], optimal("knee-reach")), record={}, failure=None, files=files)
 
 
 def test_a_block_is_read_as_it_was_written(answer, tmp_path):
@@ -94,7 +95,7 @@ def with_file(name, data):
 
 DAMAGED = {
     "of another case": (lambda answer: replace(answer, name="1"), "its cases are not those of the batch"),
-    "with a row of numbers": (lambda answer: replace(answer, row=[1]), "Expected `str | null`, got `int`"),
+    "with a row of numbers": (lambda answer: replace(answer, row=[1]), "Expected `object`, got `array`"),
     "with a record of lists": (lambda answer: replace(answer, record=[]), "got `array`"),
     "without a plan": (without("plan.json"), "it has no plan.json"),
     "without a motion": (without("trajectory.npz"), "trajectory.npz"),
@@ -120,7 +121,7 @@ def test_a_damaged_block_is_refused(case, answer, tmp_path):
 def test_a_block_of_other_bytes_is_refused(content, tmp_path):
     (tmp_path / "part.msgpack").write_bytes(content)
     with pytest.raises(PlanFileError, match=r"part\.msgpack' is damaged: .* remove it and run the same command again"):
-        unpacked(tmp_path / "part.msgpack", CASES, None)
+        unpacked(tmp_path / "part.msgpack", CASES, tmp_path)
 
 
 SWEEP = """problem = "knee-reach"
@@ -183,10 +184,11 @@ def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, t
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
     (section,) = folder_report(tmp_path / "out").sections
     cases, failure = section.blocks
+    assert [head for head, _ in cases.columns[:3]] == ["case", "motion.duration_s", "status"]
     assert [row[:3] for row in cases.rows] == [
-        ["slow", "motion.duration_s=0.25", "optimal"],
-        ["impossible", "motion.duration_s=0.1", "infeasible"],
-        ["case-3", "motion.duration_s=0.24", "optimal"],
+        ["slow", 0.25, "optimal"],
+        ["impossible", 0.1, "infeasible"],
+        ["case-3", 0.24, "optimal"],
     ]
     assert failure.text.startswith("impossible: ")
 
