@@ -15,6 +15,7 @@ from linkplan.api.reporting import Progress, listener
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import tracking_from_tables
+from linkplan.planner.problem.default_gains import with_gains
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.studies.feedback.bode.along_motion import along_motion
@@ -163,7 +164,8 @@ def loop_of(
         number(
             value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
         )
-    settings = settings.replace(**asked)
+    start = (lambda: mechanism.home) if problem is None else problem.start_pose
+    settings = with_gains(settings.replace(**asked), mechanism, start)
     if not settings.acts:
         raise ProblemError("kp and kd are both 0: there is no feedback")
     limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort

@@ -310,7 +310,8 @@ def _tracking(section: TrackingSection, mechanism: Mechanism | None) -> Tracking
     found = Tracking(**{"period_s": default_period(mechanism)} | section.to_dict())
     if mechanism is not None:
         # Both refuse joints without a value, and values of unknown joints.
-        found.gains(mechanism.independent_joints)
+        zero = {key: 0.0 for key in ("kp", "kd") if getattr(found, key) is None}
+        found.replace(**zero).gains(mechanism.independent_joints)
         found.lqr_errors(mechanism.independent_joints)
     return found
 

@@ -211,7 +211,7 @@ class SolverSettings(SolverSection, frozen=True, eq=False):
 
 
 class Tracking(TrackingSection, frozen=True, eq=False):
-    """The [tracking] of a problem; LQR errors that are None are set for a machine by `with_lqr_errors`."""
+    """The [tracking] of a problem; for None, `tracking_of` sets gains and `with_lqr_errors` errors."""
 
     period_s: float = DEFAULT_PERIOD_S
 
@@ -242,6 +242,8 @@ class Tracking(TrackingSection, frozen=True, eq=False):
     def _by_joint(self, key: str, joints: Sequence[Joint]) -> np.ndarray:
         """Return the values (n,) that a key gives to joints, one for all or one for each."""
         given, names = getattr(self, key), [joint.name for joint in joints]
+        if given is None:
+            raise ProblemError(f"tracking.{key} follows from a machine's inertia at a pose, which is not known here")
         if not isinstance(given, Mapping):
             return np.full(len(names), given, dtype=float)
         if set(given) != set(names):

@@ -18,6 +18,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.limits.actuators import motor_lines
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.default_gains import tracking_of
 from linkplan.planner.problem.keys.kinds import Delay
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
@@ -122,7 +123,7 @@ def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -
     if not isinstance(asked, str):
         return users_tracker(asked, plan.problem.mechanism, reference)
     name = choose("tracker", asked, TRACKERS, ProblemError)
-    mechanism, settings = plan.problem.mechanism, plan.problem.tracking
+    mechanism, settings = plan.problem.mechanism, tracking_of(plan.problem)
 
     def errors() -> Errors:
         position, velocity = lqr_settings(plan, reference).lqr_errors(mechanism.independent_joints)
@@ -141,8 +142,8 @@ def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -
 
 
 def lqr_settings(plan: Plan, reference: SampledReference) -> Tracking:
-    """Return the settings of tracking with every LQR error set for a plan's machine and motion."""
-    return scaled(plan.problem.tracking, plan.problem.mechanism, reference.pose_rad, _unit_effort(plan))
+    """Return the settings of tracking with every gain and LQR error set for a plan's machine and motion."""
+    return scaled(tracking_of(plan.problem), plan.problem.mechanism, reference.pose_rad, _unit_effort(plan))
 
 
 def _unit_effort(plan: Plan) -> np.ndarray:

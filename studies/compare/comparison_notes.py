@@ -9,7 +9,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.problem.default_gains import tracking_of
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.compare import Comparison, actuated_by_unit, error_figures
@@ -73,18 +73,19 @@ def ended_early(comparison: Comparison) -> list[str]:
 
 
 def default_gains(comparison: Comparison) -> list[str]:
-    """Return the sentence on PD gains that are the default ones, if a tracker runs with them."""
-    problem, default = comparison.plan.problem, Tracking()
+    """Return the sentence on PD gains that are default ones, if a tracker runs with them."""
+    problem = comparison.plan.problem
     run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
-    if not run or (problem.tracking.kp, problem.tracking.kd) != (default.kp, default.kd):
+    if not run or None not in (problem.tracking.kp, problem.tracking.kd):
         return []
-    ran = f"default gains: {' and '.join(run)} used {default.gains_text()}"
+    gains = tracking_of(problem).gains_text(problem.mechanism.independent_joints)
+    ran = f"gains from the inertia at the start: {' and '.join(run)} used {gains}"
     time = comparison.plan.trajectory.dense_times(1)
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
     if why is not None:
         return [f"{ran}; set gains in [tracking], because no tuning can find them: {why}"]
-    return [f"{ran}; `linkplan tune` finds gains for this mechanism"]
+    return [f"{ran}; `linkplan tune` finds gains for a bandwidth and margins"]
 
 
 def lost_notes(comparison: Comparison) -> list[str]:

@@ -8,6 +8,7 @@ from msgspec import Struct
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.problem.default_gains import tracking_of
 from linkplan.planner.problem.keys.imperfections import QUANTITIES
 from linkplan.studies.compare.compare import Comparison, run_figures
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
@@ -123,6 +124,7 @@ def tracking_result(
 ) -> TrackingResult:
     """Return the result of a comparison's runs, or of one `tracker`, perhaps on a `sample` of an experiment."""
     plan, mismatch = comparison.plan, comparison.mismatch
+    gains = tracking_of(plan.problem)
     return TrackingResult(
         case=comparison.title,
         plan={
@@ -133,7 +135,7 @@ def tracking_result(
             "duration_s": plan.trajectory.duration_s,
             "certificate_passed": plan.certificate.passed,
         },
-        gains={"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
+        gains={"kp": gains.kp, "kd": gains.kd},
         **_side(comparison, comparison.nominal),
         notes=comparison_notes(comparison),
         run_time=comparison.run_time,

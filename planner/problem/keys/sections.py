@@ -166,14 +166,16 @@ class SolverSection(Section, frozen=True):
 
 _MORE_IF_LIGHT = "or, if larger, the error reached from rest in six control periods at the effort limit"
 
+_BY_INERTIA = "from the inertia at the start pose and the control period"
+
 
 class TrackingSection(Section, frozen=True):
     """The tracking of the plan in simulation: gains, sampling, delay."""
 
     kp: kinds.Gain | kinds.Gains = key(
-        "proportional gain on the independent joints, for all or by joint", "N.m/rad, N/m", default=200.0
+        "proportional gain on the independent joints, for all or by joint", "N.m/rad, N/m", _BY_INERTIA
     )
-    kd: kinds.Gain | kinds.Gains = key("derivative gain, for all or by joint", "N.m.s/rad, N.s/m", default=1.0)
+    kd: kinds.Gain | kinds.Gains = key("derivative gain, for all or by joint", "N.m.s/rad, N.s/m", _BY_INERTIA)
     period_s: kinds.Period = key("the control period", "s", "1e-4, or the model's timestep if that is longer")
     delay_periods: kinds.Delay = key(
         "control periods from a measurement to its effort, a whole number in tracking", default=0
@@ -188,8 +190,10 @@ class TrackingSection(Section, frozen=True):
     lqr_velocity_deg_s: kinds.LqrError | kinds.LqrErrors = key(
         "a hinge's speed error with the same weight", "deg/s", f"100, {_MORE_IF_LIGHT}", twin=(("100", "1"),)
     )
-    bandwidth_hz: kinds.Positive = key("natural frequency of the errors under ct and gs-pd+ff", "Hz", default=20.0)
-    damping_ratio: kinds.Positive = key("damping ratio of the errors under ct and gs-pd+ff", default=1.0)
+    bandwidth_hz: kinds.Positive = key(
+        "natural frequency of the errors under ct, gs-pd+ff and default gains", "Hz", default=20.0
+    )
+    damping_ratio: kinds.Positive = key("damping ratio of these errors", default=1.0)
     integral_time_s: kinds.Positive = key(
         "lqi: time in which a position error's integral gains the weight of the error", "s", default=0.05
     )

@@ -13,19 +13,19 @@ from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
+from linkplan.planner.problem.default_gains import driven_columns
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.check.new.changes import left_out, raised_limits
 from linkplan.studies.check.new.clear_way import obstacle_on_way, servos_hold, tendons_kept, why_stuck
 from linkplan.studies.check.new.hanging import (
     at_gravity_equilibrium,
-    driven_columns,
     is_equilibrium,
     resting_positions,
     rests_by_itself,
     with_home,
 )
-from linkplan.studies.check.new.pace import critical_gains, is_large, many_hang, moderate_duration
+from linkplan.studies.check.new.pace import gains_table, is_large, many_hang, moderate_duration
 
 # Sizes of first motions that are tried, as shares of the largest one.
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
@@ -131,7 +131,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     tables["motion"]["duration_s"] = duration
     if slow:  # with least effort, slow motions leave the clear path for poses that need less holding effort
         tables |= {"objective": {"minimize": "effort_rate"}, "mesh": dict(_COARSE_MESH)}
-    tables["tracking"] = critical_gains(mechanism, problem, duration)
+    tables["tracking"] = gains_table(problem)
     return tables
 
 

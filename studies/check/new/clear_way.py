@@ -21,10 +21,11 @@ from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.default_gains import driven_columns
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, pose_beyond
 from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home
-from linkplan.studies.check.new.hanging import driven_columns, hanging_columns, lock_at_home
+from linkplan.studies.check.new.hanging import hanging_columns, lock_at_home
 from linkplan.studies.check.summary import grouped
 
 

@@ -30,7 +30,7 @@ from linkplan.studies.check.new.changes import (
 )
 from linkplan.studies.check.new.clear_way import refuse_undriven, why_not
 from linkplan.studies.check.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
-from linkplan.studies.check.new.pace import critical_gains, is_large
+from linkplan.studies.check.new.pace import gains_table, is_large
 
 # Processor time [s] for all motions, the share of the rest that each motion gets, and the least time for a motion.
 _TIME_BUDGET_S, _TIME_SHARE, _MIN_SOLVE_S = 40.0, 0.3, 1.0
@@ -175,6 +175,6 @@ def _with_table(first: FirstMotion, plan: Plan, table: dict, note: str) -> First
     tables = first.tables | {"mechanism": table}
     mechanism = mechanism_from_tables(tables)
     problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-    tables["tracking"] = critical_gains(mechanism, problem, tables["motion"]["duration_s"])
+    tables["tracking"] = gains_table(problem)
     changes = (*first.changes, note)
     return replace(first, mechanism=mechanism, tables=tables, plan=replace(plan, problem=problem), changes=changes)

@@ -19,14 +19,9 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import lock_words, sprung_freedoms
 from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.default_gains import driven_columns
 
 GRAVITY_M_S2 = 9.81
-
-
-def driven_columns(mechanism: Mechanism) -> np.ndarray:
-    """Return the columns of the independent coordinates on which actuators act, without passive ones."""
-    arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
-    return np.flatnonzero((arms > 1e-9 * arms.max()) & mechanism.actuated)
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:

@@ -115,11 +115,16 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
 
 def test_default_gains_are_said():
     comparison = compared("optimus-knee")
-    for given in ({}, {"kp": 200, "kd": 1}):  # the same problem
+    for given, said in (
+        ({}, "kp = 3.7 N.m/rad, kd = 0.059 N.m.s/rad"),
+        ({"kp": 200}, "kp = 200 N.m/rad, kd = 0.059 N.m.s/rad"),
+    ):
         problem = comparison.plan.problem.replace(tracking=given)
         (note,) = comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem)))
-        assert note.startswith("default gains: pd used kp = 200, kd = 1")
+        assert note.startswith(f"gains from the inertia at the start: pd used {said}")
         assert "linkplan tune" in note
+    problem = comparison.plan.problem.replace(tracking={"kp": 3.7, "kd": 0.059})
+    assert comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem))) == []
 
 
 def test_runs_keep_the_torque_speed_line_of_their_motor():
