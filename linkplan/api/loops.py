@@ -164,9 +164,9 @@ def loop_of(
         number(
             value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
         )
-    start = (lambda: mechanism.home) if problem is None else problem.start_pose
-    settings = with_gains(settings.replace(**asked), mechanism, start)
+    settings = settings.replace(**asked)
     if not settings.acts:
         raise ProblemError("kp and kd are both 0: there is no feedback")
+    settings = with_gains(settings, mechanism, (lambda: mechanism.home) if problem is None else problem.start_pose)
     limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort
     return mechanism, problem, settings, limit

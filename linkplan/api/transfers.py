@@ -33,6 +33,7 @@ def transfer(
     motor_kp: Gains | None = None,
     motor_kd: Gains | None = None,
     along: PlanLike | None = None,
+    sites: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> TransferResult:
     """Return the transfer table of output joints, which relates motors and joints of a linkage.
@@ -53,6 +54,8 @@ def transfer(
         motor_kp: motors' stiffness to convert to the joints.
         motor_kd: motors' damping, likewise.
         along: a plan of the same model, or its path; the errors of models without loops are computed along its motion.
+        sites: sites whose rates, pushes, mass and stiffness are columns of the table, with the ellipses of their speeds and
+            forces and the polytope of their forces at home.
         progress: called with lines on the progress.
 
     Raises:
@@ -89,4 +92,4 @@ def transfer(
         gains={name: numbers(values, name) for name, values in gains.items() if values is not None},
         say=say,
     )
-    return transfer_result(found)
+    return transfer_result(found, sites)

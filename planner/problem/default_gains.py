@@ -32,8 +32,8 @@ def with_gains(settings: Tracking, mechanism: Mechanism, pose: Callable[[], np.n
 
 def driven_columns(mechanism: Mechanism) -> np.ndarray:
     """Return the columns of the independent coordinates on which actuators act, without passive ones."""
-    arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
-    return np.flatnonzero((arms > 1e-9 * arms.max()) & mechanism.actuated)
+    arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
+    return np.flatnonzero((arms > 1e-9 * arms.max(initial=0.0)) & mechanism.actuated)
 
 
 def fastest_feedback(mechanism: Mechanism, period_s: float) -> float:

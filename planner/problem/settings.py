@@ -228,8 +228,9 @@ class Tracking(TrackingSection, frozen=True, eq=False):
 
     @property
     def acts(self) -> bool:
-        """Whether any PD gain is above zero."""
-        return any(np.any(np.array([*one.values()] if isinstance(one, Mapping) else [one])) for one in (self.kp, self.kd))
+        """Whether any PD gain is above zero, or a default one."""
+        gains = [[*one.values()] if isinstance(one, Mapping) else [one] for one in (self.kp, self.kd)]
+        return any(gain is None or gain > 0 for of in gains for gain in of)
 
     def gains(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return kp and kd (n,) of joints.

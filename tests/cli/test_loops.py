@@ -62,7 +62,7 @@ def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monk
 
 
 def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):
-    code, out, err = ask("bode", "optimus-knee", "--kd", "10", "--at-deg", "O=0")
+    code, out, err = ask("bode", "optimus-knee", "--kp", "200", "--kd", "10", "--at-deg", "O=0")
     assert code == 1
     assert out.startswith("Unstable at O = 0 deg (1 of 1 pose): kp = 200 N.m/rad, kd = 10 N.m.s/rad")
     assert "not measured: an unstable feedback loop holds no operating point" in out

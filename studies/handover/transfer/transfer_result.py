@@ -17,6 +17,7 @@ from linkplan.studies.handover.transfer.columns import arrays_of, columns_of, in
 from linkplan.studies.handover.transfer.frameworks import frameworks_text
 from linkplan.studies.handover.transfer.serial_study import Serial, along_columns, errors_along, left_out, motion_of_samples
 from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_notes, urdf_text
+from linkplan.studies.handover.transfer.site_map import SiteMap, site_blocks, site_maps, site_pictures
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.handover.transfer.transfer_blocks import notes, transfer_blocks, transfer_plots
 from linkplan.studies.output.document import Block, Report, Section
@@ -33,7 +34,8 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
 
     `interpolation_error` is a share of each quantity's largest size, its `scale`. `ends` has the position, reason and margin
     of both ends of each joint's range. `serial` has the joints' properties of the serial equivalent, what it ignores, and
-    its errors along a motion; it and `urdf` are None without a serial equivalent.
+    its errors along a motion; it and `urdf` are None without a serial equivalent. `sites` has the ellipses and the polytope
+    of sites at home.
     """
 
     record_name = "transfer"
@@ -61,6 +63,8 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
     serial_note: str
     urdf: dict[str, Any] | None = field(name="serial_urdf")
     notes: list[str]
+    sites: dict[str, dict[str, Any]]
+    maps: Beside[list[SiteMap]] = NOT_READ
     transfer: Beside[Transfer] = NOT_READ
 
     @property
@@ -151,7 +155,11 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
 
     def blocks(self) -> list[Block]:
         """Return the table and the curves."""
-        return transfer_blocks(self.transfer)
+        return [
+            *transfer_blocks(self.transfer),
+            *(block for one in self.maps for block in site_blocks(one)),
+            *site_pictures(self.maps),
+        ]
 
     def document(self) -> Report:
         """Return the report."""
@@ -161,7 +169,8 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write the tables (CSV, NPZ, with `parquet` Parquet too), actuators of frameworks and the serial equivalent."""
         transfer, serial = self.transfer, self.transfer.serial
-        tables = {"table": columns_of(transfer), "inverse": inverse_columns(transfer)}
+        of_sites = {head: values for one in self.maps for head, values in one.columns.items()}
+        tables = {"table": columns_of(transfer) | of_sites, "inverse": inverse_columns(transfer)}
         about = {"mechanism": self.mechanism_name, "joints": ",".join(self.joints)}
         for name, columns in tables.items():
             if columns is None:
@@ -180,13 +189,16 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
         np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield the figure "transfer", the curves over each joint's range."""
+        """Yield the figure "transfer", the curves over each joint's range, and "sites", their forces and speeds at home."""
         title = f"{self.mechanism_name}: {self.message}"
         yield "transfer", FigureSpec(panels=transfer_plots(self.transfer), title=title, columns=2)
+        if pictures := site_pictures(self.maps):
+            yield "sites", FigureSpec(panels=pictures, title=title, columns=2)
 
 
-def transfer_result(transfer: Transfer) -> TransferResult:
-    """Return the result of a transfer table."""
+def transfer_result(transfer: Transfer, sites: Sequence[str] = ()) -> TransferResult:
+    """Return the result of a transfer table, with sites of the model."""
+    maps = site_maps(transfer, sites)
     table, outputs, home = transfer.table, transfer.outputs, transfer.home
     inverse, serial, motors = table.inverse, transfer.serial, outputs.actuators
     return TransferResult(
@@ -220,6 +232,8 @@ def transfer_result(transfer: Transfer) -> TransferResult:
         serial_note=transfer.serial_note,
         urdf=None if serial is None else _urdf_figures(transfer),
         notes=notes(transfer),
+        sites={one.site: one.figures() for one in maps},
+        maps=maps,
         transfer=transfer,
     )
 
