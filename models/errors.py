@@ -10,6 +10,11 @@ def one_line(text: object, most: int = 4000) -> str:
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-most // 4 :]}"
 
 
+def shortened(text: str, most: int) -> str:
+    """Return `text`, or its first whole words with "..." in at most `most` characters."""
+    return text if len(text) <= most else f"{text[: most - 4].rsplit(None, 1)[0].rstrip(',;:')} ..."
+
+
 def escaped(text: str) -> str:
     """Return `text` with control characters and surrogates escaped, safe to print on a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in text)

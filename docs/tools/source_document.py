@@ -189,6 +189,9 @@ def _document_plots(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Pl
         ]
         title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
         found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
+        ends = tuple(run.effort_limit[0].tolist())
+        torque = [Line(name="torque", values=run.applied[:, 0], unit="N.m", look="line", colour=2, limits=ends)]
+        found += plots(f"{model}: torque of these gains", "torque", TIME, run.time_s, torque, group="time:document")
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,12 +66,16 @@ def view(
     say = listener(progress)
     answer = plan_of(plan, say, "play")
     from linkplan.studies.render.live import aim, run_maker
+    from linkplan.studies.render.scenes import coloured_model
 
     say.keep(f"{answer.problem.name} tracked by {tracker}, {slow:g} times slower; close the window to end")
     say.keep(f"keys: {KEYS_TEXT}")
     make = run_maker(answer)
     begin = Controls(tracker=tracker, slowness=slow)
-    last = play(answer.problem.mechanism, begin, make, seconds=seconds, camera=aim(answer, tracker))
+    mechanism = answer.problem.mechanism
+    last = play(
+        replace(mechanism, model=coloured_model(mechanism)), begin, make, seconds=seconds, camera=aim(answer, tracker)
+    )
     gains = {"kp_factor": last.kp_factor, "kd_factor": last.kd_factor}
     said = {"plan": answer.problem.name, "tracker": last.tracker, **gains, "stable": make(last).stable}
     return said | {"passed": answer.passed}

@@ -198,9 +198,14 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
         return self.left >= -self.slack
 
     @property
+    def left_shown(self) -> float:
+        """What is left, without the overrun of a satisfied limit, which is due to rounding."""
+        return max(self.left, 0.0) if self.kept else self.left
+
+    @property
     def share(self) -> float:
         """The remaining margin as a share of the limit's size."""
-        return self.left / self.size
+        return self.left_shown / self.size
 
     @property
     def title(self) -> str:

@@ -83,7 +83,10 @@ class Verdict(Struct, frozen=True, kw_only=True, omit_defaults=True):
         if not self.passed:
             first = f"{self.kind}: {self.words}"
         elif self.kind == "optimal" and self.objective:  # no solver shows more than a local optimum
-            first = f"{'' if self.is_global else 'locally '}{self.objective.replace('_', '-')}-optimal {self.words}"
+            locally, single = "" if self.is_global else "locally ", " " not in self.objective
+            for_sum = "" if single else f", for {self.objective.replace('_', ' ')}"
+            of_term = f"{self.objective.replace('_', '-')}-" if single else ""
+            first = f"{locally}{of_term}optimal {self.words}{for_sum}"
         else:
             first = self.words
         return "; ".join([first, *self.further])

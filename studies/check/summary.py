@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import mujoco
 
-from linkplan.models.errors import listed
+from linkplan.models.errors import listed, shortened
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
@@ -43,9 +43,7 @@ def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
     said = []
     for alike in by_kind(sentences, _names(mechanism)):
         more = f" (and {len(alike) - 1} more of this kind)" if len(alike) > 1 else ""
-        room = _MOST_CHARACTERS - len(more)
-        first = alike[0] if len(alike[0]) <= room else f"{alike[0][: room - 3].rstrip()}..."
-        said.append(first + more)
+        said.append(shortened(alike[0], _MOST_CHARACTERS - len(more)) + more)
     return said
 
 

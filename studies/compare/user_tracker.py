@@ -16,7 +16,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
-from linkplan.models.errors import ProblemError, choose, one_line
+from linkplan.models.errors import ProblemError, choose, one_line, shortened
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.compare.tracker_source import ENTRY_POINTS, add_cwd_to_path, module_of, source_files
 
@@ -87,7 +87,7 @@ def _text_of(thing: object) -> str:
         raise
     except BaseException:
         text = f"<{type(thing).__name__}>"
-    return text if len(text) <= _QUOTED_CHARACTERS else f"{text[:_QUOTED_CHARACTERS]} ..."
+    return shortened(text, _QUOTED_CHARACTERS)
 
 
 def _loaded(text: str, load: Callable[[], Any]) -> TrackerLike:

@@ -275,7 +275,7 @@ def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
     for one in plan.certificate.margins:
         if one.of.facts.of_planned_effort:
             continue
-        yield one.share, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
+        yield one.share, f"{one.left_shown:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 
 def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:

@@ -215,7 +215,7 @@ def _corner_table(plan: Plan) -> Table:
         for worst in sorted(of_it, key=lambda one: one.left)[:1]:
             actuator = problem.mechanism.actuators[worst.item % n_u]
             places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # five digits of the limit
-            figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
+            figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left_shown)]
             at = float(f"{worst.time_s:.5g}")
             rows.append([corner.description, worst.kept, actuator.name, *figures, actuator.unit, at])
     heads = [(head, "") for head in ("machine", "passed", "nearest to its limit", "effort", "limit", "left", "unit")]

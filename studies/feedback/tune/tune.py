@@ -92,7 +92,11 @@ def tune(
         worst = [point for point in worst if np.abs(at - point.state).max(axis=1).min() > distance][:1]
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
-    found = best.shortfall == 0.0
+    found, between = best.shortfall == 0.0, []
+    if line is not None and mechanism.dof == 1:
+        judge = judge_of(mechanism, line, law, mechanism.channels)
+        even = np.linspace(line.low, line.high, SCAN_POSITIONS)
+        between = [(float(line.at(x)[0]), one[0]) for x in even.tolist() if (one := judge(x))]
     gains = tracking_values(best, mechanism) | {"delay_s": timing.delay_s}
     gains.pop("delay_periods", None)
     return Tuning(
@@ -106,6 +110,7 @@ def tune(
         points=best.loops,
         mechanism=mechanism,
         best=best,
+        between=between,
     )
 
 

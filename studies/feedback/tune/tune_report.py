@@ -14,6 +14,7 @@ from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
+from linkplan.studies.feedback.frequency.margins import Margins
 from linkplan.studies.feedback.tune.requirements import EvaluatedGains, JudgedLoop, Requirements
 from linkplan.studies.feedback.tune.tuning import MotorGains, gains_by_joint, tracking_values, tuned_joints
 from linkplan.studies.output.document import (
@@ -56,6 +57,8 @@ class Tuning(MechanismResult, Struct, frozen=True, kw_only=True, eq=False):
     points: tuple[JudgedLoop, ...]
     mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
     best: Beside[EvaluatedGains] = NOT_READ
+    between: Beside[list[tuple[float, Margins]]] = NOT_READ
+    """Margins between the poses of one degree of freedom, with their positions [rad or m]."""
 
     @property
     def passed(self) -> bool:
@@ -168,6 +171,11 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
     (at, place, unit), wanted = places(tuning, loops), tuning.wanted
     order, found = np.argsort(at), []
     margins = [loops[k] for k in order.tolist()]
+    curve = sorted(
+        [*zip(at[order].tolist(), margins, strict=True)] + [(tuning.joints[0].shown(x), one) for x, one in tuning.between],
+        key=lambda one: one[0],
+    )
+    drawn = rounded(np.array([x for x, _ in curve]))
     lost = at[order][[not one.stable for one in margins]]
     for name, what, per, limit, words in (
         ("bandwidth_hz", "bandwidth", "Hz", wanted.bandwidth_hz, "wanted at least"),
@@ -175,12 +183,12 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
         ("sensitivity_peak", "peak of |S|", "1", wanted.largest_peak, "wanted at most"),
     ):
         values, asked = figures(margins, name), [limit] if np.isfinite(limit) and limit > 0 else []
-        known = [value for value in (*values.tolist(), *asked) if value > 0]
+        known = [value for value in (*figures([one for _, one in curve], name).tolist(), *asked) if value > 0]
         highest, lowest = max(known, default=1.0), min(known, default=1.0)
         log = per == "Hz" and highest > 10 * lowest
         ends = (lowest / 4.0, 1.5 * highest) if log else (0.0, 1.12 * highest)  # room for the limit's name below its line
-        values = np.maximum(values, ends[0])
-        series = [Series(name=what, y=rounded(values)), Series(name="looked at", y=rounded(values), look="points")]
+        values, line = (np.maximum(y, ends[0]) for y in (values, figures([one for _, one in curve], name)))
+        series = [Series(name=what, x=drawn, y=rounded(line)), Series(name="looked at", y=rounded(values), look="points")]
         if len(lost):
             series.append(Series(name="unstable", x=rounded(lost), y=[ends[0]] * len(lost), look="points", colour=4))
         found.append(

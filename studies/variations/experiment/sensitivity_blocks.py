@@ -104,4 +104,7 @@ def _foremost(study: Sensitivity, metric: str) -> list[str]:
 def _named(study: Sensitivity, label: str) -> str:
     one = study.imperfections[label]
     unit = "" if one.unit in ("", "1") else f" {one.unit}"
-    return f"{label}, {one.range[0]:.4g} to {one.range[1]:.4g}{unit}"
+    low, high = one.range
+    # Three digits of the range's width: four of the values hid how far 1.0002 is from 1.
+    digits = 4 if low == high else max(4, 3 + math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))))
+    return f"{label}, {low:.{digits}g} to {high:.{digits}g}{unit}"

@@ -1,6 +1,7 @@
 """Digits, directions and names of pins in texts and figures."""
 
 import itertools
+import types
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,13 @@ from matplotlib.text import Text
 from msgspec import structs
 
 import linkplan
+from linkplan.models.errors import shortened
+from linkplan.planner.plan.verdict import Verdict
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.numbers import direction_name
 from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit, plan_blocks, radius_figure
 from linkplan.studies.output.text import text_of
+from linkplan.studies.variations.experiment.sensitivity_blocks import _named
 from tests.support.plans import optimal, problem_of
 
 
@@ -93,3 +97,38 @@ def test_names_of_many_pins_stand_apart_and_in_the_order_of_the_pins_heights(siz
     pins = sorted((name.xy[1], box.y0) for name, box in zip(axes.texts, boxes, strict=True))
     assert [y for _, y in pins] == sorted(y for _, y in pins)
     assert all(box.x1 <= figure.bbox.x1 for box in boxes)
+
+
+@pytest.mark.parametrize(("left", "said"), [(-5e-8, "0 deg"), (2.5, "2.5 deg"), (-0.1, "-0.1 deg")])
+def test_a_limit_that_holds_but_for_rounding_leaves_nothing_and_not_less(left, said):
+    plan = optimal("knee-reach")
+    near = [
+        structs.replace(one, left=left, slack=1e-6) if one.what == "position" else one for one in plan.certificate.margins
+    ]
+    worse = replace(plan, certificate=structs.replace(plan.certificate, margins=tuple(near)))
+    line = next(one for one in text_of(plan_blocks(worse)).splitlines() if one.startswith("least margin besides efforts"))
+    assert line.startswith(f"least margin besides efforts: {said} to the range of ")
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"), [((0.99983, 1.00012), "0.99983 to 1.00012"), ((0.9, 1.1), "0.9 to 1.1"), ((0.0, 2.0), "0 to 2")]
+)
+def test_the_label_of_an_imperfection_shows_its_whole_range(ends, said):
+    study = types.SimpleNamespace(imperfections={"mass": types.SimpleNamespace(unit="kg", range=ends)})
+    assert _named(study, "mass") == f"mass, {said} kg"
+
+
+def test_a_sentence_is_cut_between_words():
+    text = "the loops close, and the motor holds the pose"
+    assert shortened(text, 100) == text
+    for most in range(12, len(text)):
+        cut = shortened(text, most)
+        assert len(cut) <= most
+        assert text.startswith(cut.removesuffix(" ..."))
+        assert text[len(cut.removesuffix(" ...")) :][0] in " ,"
+
+
+def test_a_sum_of_objectives_is_named_after_the_motion():
+    verdict = Verdict(kind="optimal", words="motion of 0.1 s", objective="time + 1e-05 peak_effort")
+    assert verdict.sentence == "locally optimal motion of 0.1 s, for time + 1e-05 peak effort"
+    assert verdict.replace(objective="effort_rate").sentence == "locally effort-rate-optimal motion of 0.1 s"

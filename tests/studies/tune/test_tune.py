@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.controllers.sampling import augmented
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
@@ -287,3 +288,17 @@ def test_bode_states_the_response_at_rest_of_a_joint_that_sags():
     )
     assert "response at rest" in weak
     assert "response at rest" not in strong
+
+
+@pytest.mark.slow
+def test_the_curve_between_the_poses_is_that_of_the_loop_there():
+    found = linkplan.tune("slider-crank", bandwidth_hz=5.0, phase_margin_deg=50.0)
+    (phase,) = [plot for plot in found.blocks() if getattr(plot, "title", "").startswith("Phase margin over")]
+    curve, looked_at = phase.series[:2]
+    assert len(curve.x) >= len(looked_at.y) + 30
+    again = linkplan.bode(
+        "slider-crank", tracking=found.tracking, at_deg=[{"O": curve.x[k]} for k in (3, 12)], measure=False
+    )
+    assert [curve.y[k] for k in (3, 12)] == pytest.approx([one.phase_margin_deg for one in again.points], rel=1e-2)
+    joined = np.interp(curve.x, phase.x, looked_at.y)
+    assert np.abs(joined - np.array(curve.y)).max() > 5.0  # a line between the poses would be wrong
