@@ -112,7 +112,7 @@ class MotionTable:
     def named_arrays(self) -> tuple[dict, dict]:
         """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
         joints, actuators = list(self.position_deg), list(self.effort)
-        by_joint = {
+        by_joint: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
             key: (("time_s", "joint"), np.column_stack([getattr(self, key)[name] for name in joints]))
             for key in ("position_deg", "speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3")
         }
