@@ -3,7 +3,6 @@
 Colours, cameras, contacts and the simulator's own settings are left out, because plans do not depend on them.
 """
 
-import copy
 import hashlib
 
 import mujoco
@@ -68,15 +67,8 @@ def _wrapped_geoms(model: mujoco.MjModel) -> bytes:
     return " ".join(f"{number + 0.0:.9g}" for number in numbers).encode()
 
 
-def compiled_bytes(model: mujoco.MjModel, body_apart: str | None = None) -> bytes:
-    """Return a compiled model as bytes, without the inertial properties of the body `body_apart`."""
-    if body_apart is not None:
-        model = copy.copy(model)
-        body = model.body(body_apart).id
-        model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
-        model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # update the quantities derived from the inertial properties
-        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which only the simulator uses
+def compiled_bytes(model: mujoco.MjModel) -> bytes:
+    """Return a compiled model as bytes."""
     content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return content.tobytes()

@@ -182,19 +182,21 @@ def compiled_once() -> Iterator[None]:
 
 @one_thread_at_a_time
 def compile_model(
-    source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED
+    source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED, *, changes: bool = False
 ) -> tuple[str, mujoco.MjModel, tuple[str, ...]]:
     """Return a model's name, the compiled form of what is selected with the payload, and notes on what was left out.
+
+    With `changes` its numbers can be changed: MuJoCo's compiler makes no use of bodies whose inertia is simple.
 
     Raises:
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
             (with MuJoCo's reason); or if the payload's body is not in it.
     """
-    already, asked = _ALREADY.get(), repr((str(source), payload, selection.table()))
+    already, asked = _ALREADY.get(), repr((str(source), payload, selection.table(), changes))
     if already is not None and asked in already:
         name, model, notes = already[asked]
         return name, copy.copy(model), notes
-    name, _, model, notes = _compiled(source, payload, selection)
+    name, _, model, notes = _compiled(source, payload, selection, changes)
     if already is not None:
         already[asked] = name, copy.copy(model), notes
     return name, model, notes
@@ -211,13 +213,15 @@ def model_spec(source: str | Path, payload: Payload | None = None, selection: Se
 
 
 def _compiled(
-    source: str | Path, payload: Payload | None, selection: Selection
+    source: str | Path, payload: Payload | None, selection: Selection, changes: bool = False
 ) -> tuple[str, mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
     with mujoco_warnings() as messages:
         try:
             name, spec, notes = _selected(source, selection)
             if payload is not None:
                 attach(spec, payload)
+            for body in spec.bodies if changes else ():
+                body.simple = False
             spec.memory = min(spec.memory, 10**9)  # no mechanism needs more for its contacts; scenes ask for gigabytes
             with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
                 warnings.simplefilter("always")

@@ -4,8 +4,9 @@ import functools
 import hashlib
 import pickle
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -36,14 +37,14 @@ from linkplan.models.foreign.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
-from linkplan.models.payload import BODY_NAME, Payload, payload_from
+from linkplan.models.parameters import Parameter, set_parameters, with_symbols, without_values
+from linkplan.models.payload import Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints
-from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
 
 
@@ -85,14 +86,15 @@ class Mechanism:
     closed_m: float
     extent_m: float  # the size of the moving bodies
     dynamics: ReducedDynamics
-    parametric: ReducedDynamics | None  # with the payload's numbers as further inputs; None without a payload
+    parameters: tuple[Parameter, ...]  # numbers of the model that stay symbols: the payload's seven, then the named ones
+    parametric: ReducedDynamics | None  # with the parameters as further inputs; None without parameters
     friction_transition: float  # transition speed of dry friction, see `models.tree.friction`
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
     coasting_dofs: tuple[int, ...]
     notes: tuple[str, ...]
     faults: tuple[str, ...]
-    source: Mapping[str, object]
+    source: Mapping[str, Any]
     forces: ForcesOverTime | None = None
 
     def __reduce__(self) -> tuple:
@@ -174,12 +176,17 @@ class Mechanism:
         """A mask (n_s,) of the freedoms without a drive on which the dynamics do not depend."""
         return round_spins(self.dynamics, self.home, ~self.actuated)
 
-    def fingerprint(self, *, payload_apart: bool = False) -> str:
+    @property
+    def parameter_values(self) -> np.ndarray:
+        """The values (n,) [SI] of the parameters."""
+        return np.array([one.value for one in self.parameters])
+
+    def fingerprint(self, *, parameters_apart: bool = False) -> str:
         """Return a hash of the compiled model and of the choice of coordinates, which determine the reduced dynamics.
 
-        With `payload_apart` the hash does not depend on the payload's numbers, like `parametric_dynamics`.
+        With `parameters_apart` the hash does not depend on the parameters' values, like `parametric_dynamics`.
         """
-        return _fingerprint(self, payload_apart)
+        return _fingerprint(self, parameters_apart)
 
     @property
     def forced(self) -> ReducedDynamics:
@@ -191,7 +198,7 @@ class Mechanism:
         return () if self.forces is None else (self.forces.curve.derivative(time_s),)
 
     def parametric_dynamics(self) -> ReducedDynamics:
-        """Return the reduced dynamics with the numbers of the payload (7,) and the forces over time as every last input.
+        """Return the reduced dynamics with the parameters (n,) and the forces over time as every last input.
 
         Raises:
             ModelError: if there is neither.
@@ -199,8 +206,40 @@ class Mechanism:
         if self.forces is not None:
             return _parametric(self)
         if self.parametric is None:
-            raise ModelError(f"mechanism '{self.name}' has no payload to vary")
+            raise ModelError(f"mechanism '{self.name}' has no parameters")
         return self.parametric
+
+    def with_parameters(self, values: Mapping[str, float | None]) -> "Mechanism":
+        """Return the mechanism with values [SI] of numbers of its model by name, which stay symbols in its equations.
+
+        The names are those of `models.parameters`; None keeps a number's value. The loops are closed again. Parameters that
+        the mechanism has already keep their values.
+
+        Raises:
+            ModelError: for an unknown name, two names for one number, or a value out of its bounds.
+            AssemblyError: if the loops do not close with these values.
+
+        Example::
+
+            longer = linkplan.load_mechanism("optimus-knee").with_parameters({"coupler.length": 0.0742})
+        """
+        asked, speed = self.source, self.source.get("friction_transition_deg_s")
+        home = {name: np.radians(angle) for name, angle in asked.get("home_deg", {}).items()} | asked.get("home_m", {})
+        own = {one.name: one.value for one in self.parameters if one.name in asked.get("parameters", {})}
+        found = load_mechanism(
+            asked["model"],
+            payload=self.payload,
+            home=home or None,
+            independent=asked.get("independent"),
+            solref=asked.get("solref"),
+            closure_tolerance_m=asked.get("closure_tolerance_m"),
+            friction_transition=None if speed is None else np.radians(speed),
+            selection=self.selection,
+            parameters=own | dict(values),
+        )
+        tables = {name: found.source["parameters"][name] for name in values} if values else {}
+        named = {**asked.get("parameters", {}), **tables}
+        return replace(found, forces=self.forces, source={**asked, "parameters": named})
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
@@ -265,9 +304,10 @@ def _unpickled(content: bytes) -> Mechanism:
 
 
 @functools.lru_cache(maxsize=64)
-def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
-    apart = BODY_NAME if payload_apart and mechanism.payload is not None else None
-    digest = hashlib.sha256(compiled_bytes(mechanism.model, apart))
+def _fingerprint(mechanism: Mechanism, parameters_apart: bool) -> str:
+    apart = mechanism.parameters if parameters_apart else ()
+    digest = hashlib.sha256(compiled_bytes(without_values(mechanism.model, apart)))
+    digest.update(repr([one.name for one in apart]).encode())
     for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
         digest.update(choice.tobytes() + b"|")
     digest.update(np.float64(mechanism.friction_transition).tobytes())
@@ -278,24 +318,24 @@ def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
 
 @functools.lru_cache(maxsize=16)
 def _parametric(mechanism: Mechanism) -> ReducedDynamics:
-    """Return the dynamics of a mechanism with forces over time, with the payload's numbers and the forces as parameters."""
+    """Return the dynamics of a mechanism with forces over time, with its parameters and the forces as last input."""
     assert mechanism.forces is not None
-    model, n = mechanism.model, 0 if mechanism.payload is None else len(mechanism.payload.numbers())
+    model, n = mechanism.model, len(mechanism.parameters)
     sites = [int(model.site(name).id) for name in mechanism.forces.sites]
     given = ca.SX.sym("parameters", n + 3 * len(sites))
     pushes = {site: given[n + 3 * k : n + 3 * k + 3] for k, site in enumerate(sites)}
-    varied = _varied(model, given[:n] if n else None)
-    tree = build_tree(model, home_qpos(model), varied, mechanism.friction_transition, pushes)
-    B, own = effort_matrix(model, tree, mechanism.actuators), lengths(model, tree, mechanism.actuators)
+    varied = with_symbols(model, mechanism.parameters, given[:n])
+    tree = build_tree(varied, home_qpos(model), mechanism.friction_transition, pushes)
+    B, own = effort_matrix(varied, tree, mechanism.actuators), lengths(varied, tree, mechanism.actuators)
     chosen = mechanism.closure_rows, mechanism.independent, mechanism.dependent
-    return reduce_tree(tree, read_closures(model, tree), B, *chosen, given, mechanism.projected, own)
+    values = np.append(mechanism.parameter_values, np.zeros(3 * len(sites)))
+    return reduce_tree(tree, read_closures(varied, tree), B, *chosen, given, values, mechanism.projected, own)
 
 
 @functools.lru_cache(maxsize=16)
 def _forced(mechanism: Mechanism) -> ReducedDynamics:
     """Return the dynamics of a mechanism with forces over time, which are their only parameters."""
-    payload = mechanism.payload
-    return with_numbers(_parametric(mechanism), np.zeros(0) if payload is None else payload.numbers())
+    return with_numbers(_parametric(mechanism), mechanism.parameter_values)
 
 
 @one_thread_at_a_time
@@ -309,6 +349,7 @@ def load_mechanism(
     closure_tolerance_m: float | None = None,
     friction_transition: float | None = None,
     selection: Selection = NOTHING_SELECTED,
+    parameters: Mapping[str, float | None] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -323,6 +364,8 @@ def load_mechanism(
             mechanism's extent.
         friction_transition: speed v_0 of dry friction [rad/s; extents per second on a slide or tendon]; by default 2 deg/s.
         selection: the part of a larger model to use.
+        parameters: numbers of the model by name (`models.parameters`) that stay symbols in its equations, with their values
+            [SI]; None keeps the model's own value.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -330,26 +373,35 @@ def load_mechanism(
         AssemblyError: if the loops do not close at, or near, the asked pose.
     """
     payload = payload_from(payload)
-    name, model, left_out = compile_model(source, payload, selection)
+    name, model, left_out = compile_model(source, payload, selection, changes=bool(parameters))
+    varied = set_parameters(model, parameters or {})
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
     if model.nbody > MAX_LOOSE_BODIES:
         refuse_many_loose(name, model)
-    pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
+    pi = ca.SX.sym("parameters", len(varied)) if varied else None
     transition = transition_speed(friction_transition)
-    tree = build_tree(model, home_qpos(model), _varied(model, pi), transition)
+    symbolic = model if pi is None else with_symbols(model, varied, pi)
+    moving = any(one.moves_pins for one in varied)
+    tree = build_tree(model if moving else symbolic, home_qpos(model), transition)
     joints, actuators, extent = read_joints(name, model, tree.coordinates), read_actuators(model), extent_m(model)
     closed = close_home(name, model, tree, joints, extent, home=home, tolerance_m=closure_tolerance_m)
     loop, mobility, pose, about = closed.mobility.loop, closed.mobility, closed.pose, closed.about
     jacobians = [loop.jacobian(q) for q in (pose, *about)]
     rows, free, dependent = choose_coordinates(loop, model, actuators, jacobians, independent)
     closed.refuse_singular(free)
-    B = effort_matrix(model, tree, actuators)
+    B = effort_matrix(symbolic, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
     projected = projected_loops(loop, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
-    parametric = reduce_tree(tree, loop.closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
-    dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
+    closures = loop.closures
+    if moving:
+        tree = build_tree(symbolic, home_qpos(model), transition)
+        closures, B = read_closures(symbolic, tree), effort_matrix(symbolic, tree, actuators)
+    own = lengths(symbolic, tree, actuators)
+    values = np.array([one.value for one in varied])
+    parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, values, projected, own)
+    dynamics = with_numbers(parametric, values) if varied else parametric
     refuse_singular_inertia(name, joints, free, dynamics, pose)
     poses = [q for q in (pose, *about) if loop.rank(q) == len(dependent)]
     passive, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
@@ -365,6 +417,7 @@ def load_mechanism(
         "closure_tolerance_m": closure_tolerance_m,
         "solref": solref,
         "friction_transition_deg_s": None if friction_transition is None else float(np.degrees(transition)),
+        "parameters": dict(parameters) if parameters else None,
     }
     mechanism = Mechanism(
         name=name,
@@ -387,7 +440,8 @@ def load_mechanism(
         closed_m=loop.closed_m,
         extent_m=extent,
         dynamics=dynamics,
-        parametric=None if payload is None else parametric,
+        parameters=varied,
+        parametric=parametric if varied else None,
         friction_transition=transition,
         coordinates=tree.coordinates,
         passive_dofs=passive,
@@ -401,11 +455,3 @@ def load_mechanism(
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
-
-
-def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:
-    """Return the payload's inertial properties with its numbers (7,) as symbols, by body; empty without a payload."""
-    if numbers is None:
-        return {}
-    inertial = Inertial(mass=numbers[0], com=numbers[1:4], inertia=ca.diag(numbers[4:7]))
-    return {model.body(BODY_NAME).id: inertial}

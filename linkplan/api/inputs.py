@@ -75,6 +75,7 @@ Subject = Mechanism | Problem | Source | str | Path
 PlanLike = Plan | Problem | Source | str | Path
 Poses = Sequence[Mapping[str, float] | float]
 SiteForces = Mapping[str, Sequence[float]]
+ByParameter = Mapping[str, float]
 
 
 def source_of(subject: Source | str | Path) -> Source:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from linkplan.api.command import command
-from linkplan.api.inputs import Poses, SiteForces, Source, Subject, poses_of, source_of, subject_of
+from linkplan.api.inputs import ByParameter, Poses, SiteForces, Source, Subject, poses_of, source_of, subject_of
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import MECHANISM_ARGUMENTS, mechanism_from_tables, with_arguments
 from linkplan.planner.problem.settings import to_toml_types
@@ -47,6 +47,9 @@ def check(
     at_m: Poses = (),
     sites: bool = False,
     site_force_n: SiteForces | None = None,
+    parameters: bool = False,
+    tolerances: bool = False,
+    tolerance: ByParameter | None = None,
 ) -> WholeCheck | RefusedModel:
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
@@ -61,6 +64,10 @@ def check(
         sites: what each site does for an effort, and an effort for it: its rate per motor, efforts per newton, largest
             pushes, reflected mass and stiffness over the reach and at the further poses.
         site_force_n: forces x, y, z [N] by site, one at a time, with the efforts that hold each of them; implies `sites`.
+        parameters: the numbers of the model that have names, with values and units: those that [parameters] can set.
+        tolerances: errors of sites, dependent joints, ratios and holding efforts by the tolerances of [parameters]: worst
+            case, standard deviation, causes.
+        tolerance: tolerances [SI] by number, or by a pattern of names: "*.length=1e-4" is every link; implies `tolerances`.
 
     Raises:
         LinkplanError: if a pose is out of reach, a site is not in the model, or the subject cannot be read.
@@ -82,5 +89,11 @@ def check(
         text = source_of(subject).name if isinstance(subject, Source | str | Path) else str(subject)
         return refused_model("the model" if "<" in text else Path(text).stem, error)
     return check_whole(
-        mechanism, problem, poses_of(mechanism, at_deg, at_m), notes, site_force_n if site_force_n or not sites else {}
+        mechanism,
+        problem,
+        poses_of(mechanism, at_deg, at_m),
+        notes,
+        site_force_n if site_force_n or not sites else {},
+        tolerance if tolerance or not tolerances else {},
+        with_parameters=parameters,
     )

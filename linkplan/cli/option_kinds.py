@@ -117,6 +117,7 @@ KINDS = {
     "Poses": Kind(metavar="JOINT=VALUE", parse=values.pose, is_repeated=True),
     "Mapping[str, float]": Kind(metavar="JOINT=VALUE", parse=values.joint_value, is_table=True),
     "Mapping[str, Sequence[float]]": Kind(metavar="JOINT=LOW:HIGH", parse=values.joint_range, is_table=True),
+    "ByParameter": Kind(metavar="NAME=VALUE", parse=values.tolerance, is_table=True),
     "SiteForces": Kind(metavar="SITE=X,Y,Z", parse=values.site_force, is_table=True),
     "tuple[int, int]": Kind(metavar="WxH", parse=values.size),
     "str | Path": Kind(metavar="FILE", patterns=("*",)),

@@ -98,6 +98,17 @@ def joint_range(text: str) -> tuple[str, list[float]]:
     return name.strip(), ends
 
 
+def tolerance(text: str) -> tuple[str, float]:
+    """Return the name, or pattern of names, and the tolerance [SI] of NAME=VALUE."""
+    name, equals, value = text.rpartition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"a tolerance is NAME=VALUE in SI units, such as '*.length=1e-4', got '{text}'")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"the tolerance of {name} is a number, got '{value}'") from None
+
+
 def site_force(text: str) -> tuple[str, list[float]]:
     """Return a site and a force on it, SITE=X,Y,Z [N]."""
     name, _, values = text.partition("=")

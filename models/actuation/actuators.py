@@ -236,10 +236,11 @@ def lengths(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, ...]) 
     found = []
     for actuator in actuators:
         first = int(model.actuator_trnid[actuator.index, 0])
+        gear = model.actuator_gear[model.actuator_outadr[actuator.index], 0]
         if actuator.joint is not None:
-            found.append(actuator.gear * tree.q[actuator.joint])
+            found.append(gear * tree.q[actuator.joint])
         elif int(model.actuator_trntype[actuator.index]) == int(TRN_TENDON):
-            found.append(actuator.gear * tree.tendon_lengths[first])
+            found.append(gear * tree.tendon_lengths[first])
         else:
             found.append(ca.SX(np.nan))
     return ca.vertcat(ca.SX(0, 1), *found)

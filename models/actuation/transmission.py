@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.kinematics import path_to
+from linkplan.models.symbolic_model import number
 from linkplan.models.tree.coordinates import (
     BALL,
     FREE,
@@ -92,7 +93,7 @@ def has_length(model: mujoco.MjModel, index: int) -> bool:
 def moment(model: mujoco.MjModel, tree: Tree, index: int) -> ca.SX:
     """Return the actuator's column of B (n_q,), sparse."""
     kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
-    gear, first = gear_of(model, index), int(model.actuator_trnid[index, 0])
+    gear, first = model.actuator_gear[model.actuator_outadr[index]], int(model.actuator_trnid[index, 0])
     if kind in (TRN_JOINT, TRN_IN_PARENT):
         return _on_joint(model, tree, first, gear, in_parent=kind == TRN_IN_PARENT)
     if kind == TRN_TENDON:
@@ -104,7 +105,7 @@ def moment(model: mujoco.MjModel, tree: Tree, index: int) -> ca.SX:
     return _at_site(model, tree, index, gear)
 
 
-def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) -> ca.SX:
+def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray | ca.SX, in_parent: bool) -> ca.SX:
     column, dof = ca.SX(tree.q.numel(), 1), int(model.jnt_dofadr[joint])
     kind = int(model.jnt_type[joint])
     if kind not in (BALL, FREE):
@@ -130,7 +131,7 @@ def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
     frame = tree.frames[int(model.site_bodyid[slider])]
     axis = frame.R_world_B @ ca.DM(rotation_from_quaternion(model.site_quat[slider])[:, 2])
     along = ca.dot(to_crank, axis)
-    rod = float(model.actuator_cranklength[index])
+    rod = number(model.actuator_cranklength[index])
     square = along**2 + rod**2 - ca.dot(to_crank, to_crank)
     # The inner if_else keeps the derivative of the square root finite in the branch that is not used.
     return along - ca.if_else(square > 0, ca.sqrt(ca.if_else(square > 0, square, 1)), 0)

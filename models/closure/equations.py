@@ -22,6 +22,7 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import ModelError
 from linkplan.models.kinematics import disabled, extent_m, tied_points
+from linkplan.models.symbolic_model import is_zero, number, numeric
 from linkplan.models.tree.coordinates import product
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
 from linkplan.models.tree.tendons import LACKING, is_fixed, tendon_joints, tendon_label
@@ -124,9 +125,9 @@ def _connect(model: mujoco.MjModel, tree: Tree, index: int):
     first, second = _places(frames, ends)
     earlier = earlier_pin(model, index)
     if earlier is not None:
-        before = tied_points(model, earlier)
-        before = before if before[0][0] == ends[0][0] else before[::-1]  # in the same order of bodies
-        own = np.array([[place for _, place in pin] for pin in (before, ends)])
+        pins = [tied_points(model, earlier), tied_points(numeric(model), earlier)]
+        before, own = (pin if pin[0][0] == ends[0][0] else pin[::-1] for pin in pins)  # in the same order of bodies
+        own = np.array([[place for _, place in pin] for pin in (own, tied_points(numeric(model), index))])
         residual = _second_pin(_places(frames, before), (first, second), own, tree.q)
         if residual is not None:
             yield "point", residual, frame, 1.0, ("m", 1.0)
@@ -161,15 +162,17 @@ def _second_pin(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX], places:
     if min(long) == 0 or abs(long[0] - long[1]) > 1e-10 * max(long):
         return None  # the two pins cannot both close, and all rows are needed
     ways = [later - earlier for earlier, later in zip(first, second, strict=True)]
-    still = [way for way in ways if not ca.symvar(way)]
+    still = [way for way in ways if not ca.depends_on(way, q)]
     if len(still) != 1:
         return None
     delta = ways[0] - ways[1]
     pose = np.random.default_rng(0).uniform(-1.0, 1.0, q.numel())
-    if np.abs(np.array(ca.Function("delta", [q], [delta])(pose))).max() <= ROUNDING_SHARE * max(long):
+    others = [one for one in ca.symvar(delta) if not ca.depends_on(q, one)]
+    at_random = ca.Function("delta", [q, *others], [delta])(pose, *range(1, len(others) + 1))
+    if np.abs(np.array(at_random)).max() <= ROUNDING_SHARE * max(long):
         return None  # delta is zero at every pose
-    e = np.array(ca.evalf(still[0])).ravel() / max(long)
-    return first[0] - first[1] + ca.DM(np.eye(3) - np.outer(e, e)) @ delta
+    e = still[0] / ca.norm_2(still[0]) if ca.symvar(still[0]) else ca.evalf(still[0]) / max(long)
+    return first[0] - first[1] + (ca.DM.eye(3) - e @ e.T) @ delta
 
 
 def earlier_pin(model: mujoco.MjModel, index: int) -> int | None:
@@ -207,6 +210,7 @@ def _weld(model: mujoco.MjModel, tree: Tree, index: int):
         return
     bodies = [body for body, _ in tied_points(model, index)]
     _, (first, second) = _common_frames(model, tree, bodies)
+    model = numeric(model)
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
         turns = [model.site_quat[model.eq_obj1id[index]], model.site_quat[model.eq_obj2id[index]]]
     else:
@@ -219,16 +223,16 @@ def _weld(model: mujoco.MjModel, tree: Tree, index: int):
 
 
 def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:
-    a = [float(c) for c in model.eq_data[index, :5]]
+    a = [number(model.eq_data[index, k]) for k in range(5)]
     powers = range(5) if x is not None else range(1)
-    return y - sum((a[k] * (x**k if k else 1) for k in powers if a[k]), ca.SX(0))
+    return y - sum((a[k] * (x**k if k else 1) for k in powers if not is_zero(a[k])), ca.SX(0))
 
 
 def _joint(model: mujoco.MjModel, tree: Tree, index: int):
     joints = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
     residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
-    units = [("rad", extent_m(model)) if int(model.jnt_type[i]) == HINGE else ("m", 1.0) for i in joints]
+    units = [("rad", extent_m(numeric(model))) if int(model.jnt_type[i]) == HINGE else ("m", 1.0) for i in joints]
     yield _coupling("joint", model, index, residual, units)
 
 
@@ -238,7 +242,7 @@ def _coupling(kind: str, model: mujoco.MjModel, index: int, residual: ca.SX, uni
     The gap of a screw is thus the same whether its nut follows its motor or its motor its nut, and its row is no larger than
     those of other closures. `units` are the unit of y, and of x if there is one, with the length [m] of one such unit.
     """
-    slope = abs(float(model.eq_data[index, 1])) if len(units) > 1 else 0.0
+    slope = abs(float(numeric(model).eq_data[index, 1])) if len(units) > 1 else 0.0
     if units[0][1] * slope > units[-1][1]:
         scale = units[1][1] / slope
         return kind, residual * scale, 0, scale, units[1]
@@ -263,7 +267,7 @@ def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
     """Return the unit of the joint with a fixed tendon's largest coefficient, and that; m and 1 for a spatial tendon."""
     if not is_fixed(model, tendon):
         return "m", 1.0
-    arms = tendon_joints(model, tendon)
+    arms = tendon_joints(numeric(model), tendon)
     dof = max(arms, key=lambda one: abs(arms[one]))
     unit = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m"
     return unit, abs(arms[dof]) or 1.0

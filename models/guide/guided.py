@@ -51,9 +51,9 @@ class GuidedMechanism(Mechanism):
     free: Mechanism
     curve: Curve
 
-    def fingerprint(self, *, payload_apart: bool = False) -> str:
+    def fingerprint(self, *, parameters_apart: bool = False) -> str:
         """Return a hash of the mechanism and the curve."""
-        digest = hashlib.sha256(self.free.fingerprint(payload_apart=payload_apart).encode())
+        digest = hashlib.sha256(self.free.fingerprint(parameters_apart=parameters_apart).encode())
         for piece in self.curve.pieces:
             for field in fields(piece):
                 digest.update(np.asarray(getattr(piece, field.name)).tobytes())
@@ -108,9 +108,9 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
     joints = (*free.joints, Joint(name=f"path of {name}", kind="slide", lower=-np.inf, upper=np.inf))
     independent, dependent = np.array([free.n_q]), np.arange(free.n_q)
     closure_rows = np.concatenate([free.closure_rows, after + rows]).astype(int)
-    reduced = reduce_tree(
-        tree, every, B, closure_rows, independent, dependent, None, free.projected, lengths(free.model, tree, free.actuators)
-    )
+    own = lengths(free.model, tree, free.actuators)
+    chosen = closure_rows, independent, dependent
+    reduced = reduce_tree(tree, every, B, *chosen, projected=free.projected, lengths=own)
     home = np.append(pose, 0.0)
     own = {field.name: getattr(free, field.name) for field in fields(Mechanism)}
     own |= {
@@ -122,6 +122,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         "home": home,
         "reference": home,
         "dynamics": _with_all_rows(reduced, free),
+        "parameters": (),
         "parametric": None,
         "payload": None,
         "passive_dofs": (),

@@ -65,7 +65,7 @@ class ReducedDynamics:
     force_map: ca.Function  # q -> the matrix (n_rows, rank) from multipliers of the independent rows to closure forces
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N] of least norm; zero on redundant closures
     energy: ca.Function  # q, v -> kinetic, potential [J]
-    site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, without parameters
+    site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model
 
     def along_freedoms(self, _q: ca.SX, efforts: ca.SX) -> ca.SX:
         """Return efforts (n_s, k) along the freedoms, of those in all equations of motion; there may be more equations."""
@@ -151,25 +151,27 @@ def reduce_tree(
     independent: np.ndarray,
     dependent: np.ndarray,
     parameters: ca.SX | None = None,
+    values: np.ndarray | None = None,
     projected: Sequence[ProjectedLoops] = (),
     lengths: ca.SX | None = None,
 ) -> ReducedDynamics:
     """Return the reduced dynamics of `tree` under its closures, whose equations phi (n_rows,) have independent `rows`.
 
     `effort_matrix` is B (n_q, n_u), an expression of the tree's q. If the tree has `parameters`, they are the last input of
-    every function that depends on them. `projected` loops are closed by the normal equations of all their rows.
+    every function, and `values` are those of its model. `projected` loops are closed by the normal equations of all their rows.
     """
     further = [] if parameters is None else [parameters]
     q, qd, qdd = tree.q, tree.qd, tree.qdd
     n_s, n_u = len(independent), effort_matrix.shape[1]
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
-    loops = _partition(tree, closures, rows, independent, dependent, projected)
+    before = ca.SX.sym("q_0", q.numel())
+    loops = _partition(tree, closures, rows, independent, dependent, projected, further)
     phi, gamma_map = loops.phi, loops.velocity_map
-    dets, orientation = _determinants(loops, q, projected)
+    dets, signs = _determinants(loops, q, before, projected)
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
     if loops.rows:
-        gamma[loops.dependent] = -loops.solve(loops.convective(q, rates))
+        gamma[loops.dependent] = -loops.solve(loops.convective(q, rates, *further))
     mu = ca.SX.sym("mu", len(loops.rows))
     free, bound = [int(i) for i in independent], loops.dependent
 
@@ -182,7 +184,8 @@ def reduce_tree(
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
-    force_map = _force_map(tree, closures, loops, projected)
+    nominal = loops.jacobian if parameters is None else ca.substitute(loops.jacobian, parameters, ca.DM(values))
+    force_map = _force_map(tree, closures, loops, projected, nominal)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[bound])
     held = loops.independent_jacobian.T @ mu
     forces = without - tree.friction - B @ u
@@ -206,7 +209,7 @@ def reduce_tree(
         closure_step=function("closure_step", [q], -loops.solve(loops.independent_phi), gamma_map, dets),
         velocity_map=function("velocity_map", [q], gamma_map),
         block_singularity=function("block_singularity", [q], dets),
-        orientation=orientation,
+        orientation=function("orientation", [before, q], signs),
         projected=bool(projected),
         mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
         bias=function("bias", [q, qd], tree.bias),
@@ -226,7 +229,7 @@ def reduce_tree(
         force_map=function("force_map", [q], force_map),
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
-        site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
+        site_places=function("site_places", [q], site_places(tree)),
     )
 
 
@@ -263,7 +266,7 @@ class _Partition:
     solve: Callable[[ca.SX], ca.SX]  # b -> J_z^-1 b
     velocity_map: ca.SX  # Gamma (n_q, n_s)
     turning: ca.SX  # J' q' (rank,), of the tree's q and q'
-    convective: ca.Function  # q, q' -> J' q' (rank,)
+    convective: ca.Function  # q, q', parameters -> J' q' (rank,)
 
 
 def _partition(
@@ -273,8 +276,9 @@ def _partition(
     independent: np.ndarray,
     dependent: np.ndarray,
     projected: Sequence[ProjectedLoops],
+    further: list[ca.SX],
 ) -> _Partition:
-    """Return the kinematics of coordinate partitioning."""
+    """Return the kinematics of coordinate partitioning; `further` are the tree's parameters."""
     chosen, free, bound = ([int(i) for i in indices] for indices in (rows, independent, dependent))
     q, qd = tree.q, tree.qd
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
@@ -303,16 +307,15 @@ def _partition(
         solve=solve,
         velocity_map=gamma_map,
         turning=convective,
-        convective=ca.Function("convective", [q, qd], [convective]),
+        convective=ca.Function("convective", [q, qd, *further], [convective]),
     )
 
 
-def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.Function]:
-    """Return the determinants of J_z's blocks, and the function `orientation` of `ReducedDynamics`.
+def _determinants(loops: _Partition, q: ca.SX, before: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.SX]:
+    """Return the determinants of J_z's blocks, and their products with those at the pose `before` (`orientation`).
 
     The block of a projected loop has the determinant sqrt(det J_z^T J_z), and the orientation det(J_z(q_0)^T J_z(q)).
     """
-    before = ca.SX.sym("q_0", q.numel())
     dets = block_determinants(loops.J_z)
     own, signed = ca.vertsplit(dets), ca.vertsplit(dets * ca.substitute(dets, q, before))
     J_z = loops.jacobian[:, loops.dependent]
@@ -323,11 +326,16 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
                 own[block] = ca.sqrt(ca.fmax(own[block], 1e-40))  # the derivative stays finite at zero
                 here = J_z[list(loop.rows), list(loop.columns)]
                 signed[block] = determinant(ca.mtimes(ca.substitute(here, q, before).T, here))
-    return ca.vertcat(*own), ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
+    return ca.vertcat(*own), ca.vertcat(*signed)
 
 
-def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]) -> ca.SX:
-    """Return the matrix (n_rows, rank) from multipliers J_z^-T (...)_z to the closure forces [N] of least norm."""
+def _force_map(
+    tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops], nominal: ca.SX
+) -> ca.SX:
+    """Return the matrix (n_rows, rank) from multipliers J_z^-T (...)_z to the closure forces [N] of least norm.
+
+    `nominal` is the closures' Jacobian at the values of the parameters, which do not change the plane of a planar loop.
+    """
     n_rows, rank = loops.phi.numel(), len(loops.rows)
     if not rank:
         return ca.SX(n_rows, 0)
@@ -338,7 +346,7 @@ def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, proje
         given = loops.combination.T
     whole = {row for loop in projected for row in loop.rows}  # their forces have least norm already
     kept = [row for row in range(n_rows) if row in whole or row in loops.rows]
-    jacobian = ca.Function("J", [tree.q], [ca.densify(loops.jacobian)])
+    jacobian = ca.Function("J", [tree.q], [ca.densify(nominal)])
     return _least_norm(jacobian, kept, rows_by_pin(tree.model, closures)) @ given
 
 

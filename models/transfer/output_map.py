@@ -148,7 +148,7 @@ def transmission(outputs: OutputMap, q: np.ndarray) -> Transmission:
         ratio=ratio,
         ratio_slope=sampled(slope, q).reshape(n, n_o, n_m, n_o).transpose(0, 2, 1, 3),
         inertia=sampled(dynamics.reduced_inertia, q)[block],
-        armature=np.einsum("nvi,v,nvj->nij", speeds, joint_armature(mechanism.model), speeds),
+        armature=np.einsum("nvi,v,nvj->nij", speeds, np.array(joint_armature(mechanism.model)).ravel(), speeds),
         damping=np.einsum("nqi,nqp,npj->nij", gamma, sampled(loss, q), gamma),
         friction=np.stack([sliding_friction(mechanism, q, column) for column in columns], axis=1),
         gravity=sampled(dynamics.gravity_effort, q)[:, columns, 0],

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, carrying_axis, rod_line, spin_line
+from linkplan.models.symbolic_model import unit_of
 from linkplan.models.tree.charts import RodChart, StereographicChart, conjugate, quaternion_product
 
 
@@ -41,9 +42,11 @@ def rotation_of(quaternion: ca.SX) -> ca.SX:
     return ca.SX.eye(3) + 2 * w * ca.skew(v) + 2 * ca.skew(v) @ ca.skew(v)
 
 
-def rotation_about(axis: np.ndarray, angle: ca.SX) -> ca.SX:
+def rotation_about(axis: np.ndarray | ca.SX, angle: ca.SX) -> ca.SX:
     """Return the rotation matrix (3, 3) about an axis (Rodrigues). A coordinate axis gives exact zeros and ones."""
-    a = np.asarray(axis) / np.linalg.norm(axis)
+    a = unit_of(axis)
+    if isinstance(a, ca.SX):
+        return ca.SX.eye(3) * ca.cos(angle) + (1 - ca.cos(angle)) * (a @ a.T) + ca.sin(angle) * ca.skew(a)
     along = np.outer(a, a)
     cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)

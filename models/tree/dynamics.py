@@ -16,6 +16,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError, nearest
 from linkplan.models.kinematics import extent_m, joints_of, path_to
+from linkplan.models.symbolic_model import axis_of, column, number, numeric, unit_of
 from linkplan.models.tree.coordinates import (
     FREE,
     HINGE,
@@ -29,7 +30,7 @@ from linkplan.models.tree.coordinates import (
     turned_quaternion,
 )
 from linkplan.models.tree.friction import TRANSITION, dry_friction
-from linkplan.models.tree.newton_euler import Inertial, inertial_of, newton_euler
+from linkplan.models.tree.newton_euler import inertial_of, newton_euler
 from linkplan.models.tree.passive import (
     compensates,
     disabled,
@@ -106,19 +107,18 @@ def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
 def build_tree(
     model: mujoco.MjModel,
     reference: np.ndarray | None = None,
-    inertials: Mapping[int, Inertial] | None = None,
     transition: float = TRANSITION,
     forces: Mapping[int, ca.SX] | None = None,
 ) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
     On a hinge or slide q_i is MuJoCo's `qpos`, which includes the joint's `ref`; the rotation is qpos - qpos0. The charts of
-    ball and free joints are centred at `reference` (nq,), a qpos (default `qpos0`). `inertials` replaces the inertial
-    properties of the bodies that it names. `transition` is the transition speed of dry friction (`models.tree.friction`).
+    ball and free joints are centred at `reference` (nq,), a qpos (default `qpos0`). The
+    numbers of a `SymbolicModel` stay symbols. `transition` is the transition speed of dry friction (`models.tree.friction`).
     `forces` are further forces (3,) [N] in the world on sites by index; they are passive, and without potential energy.
     """
     n_q = model.nv
-    coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
+    coordinates = read_coordinates(numeric(model), model.qpos0 if reference is None else reference)
     q, qd, qdd = (ca.SX.sym(name, n_q) for name in ("q", "qd", "qdd"))
     T = coordinates.velocity_matrix(q)
     velocity, acceleration = qd, qdd  # MuJoCo's qvel and its derivative
@@ -132,9 +132,9 @@ def build_tree(
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
     gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau = newton_euler(model, coordinates, q, velocity, acceleration, gravity, inertials or {})
-    potential = _potential(model, frames, gravity, inertials or {})
-    armature = ca.DM(joint_armature(model))
+    tau = newton_euler(model, coordinates, q, velocity, acceleration, gravity)
+    potential = _potential(model, frames, gravity)
+    armature = joint_armature(model)
     weight = ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q))
     tau = tau + armature * acceleration
     if not coordinates.trivial:
@@ -165,7 +165,7 @@ def build_tree(
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
         gravity=weight - compensation,
         passive=joint_force + tendon_force + gas_force + compensation + applied,
-        friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
+        friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(numeric(model))),
         kinetic_energy=0.5 * ca.dot(qd, mass_matrix @ qd),
         potential_energy=potential + spring_energy + tendon_energy + gas_energy + compensation_energy,
         velocity_matrix=T,
@@ -179,7 +179,7 @@ def _fixed_frame() -> Frame:
 
 def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, parent: Frame, q: ca.SX) -> Frame:
     """Return a body's frame. Its joints are applied in file order."""
-    p = parent.p_world_B + parent.R_world_B @ ca.DM(model.body_pos[body])
+    p = parent.p_world_B + parent.R_world_B @ column(model.body_pos[body])
     R = parent.R_world_B @ ca.DM(rotation_from_quaternion(model.body_quat[body]))
     quaternion = product(parent.quaternion, ca.SX(ca.DM(model.body_quat[body])))
     for joint in joints_of(model, body):
@@ -187,21 +187,20 @@ def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, par
         if kind == FREE:  # MuJoCo ignores the body's own position here
             p, R, quaternion = q[dof : dof + 3], ca.SX.eye(3), ca.SX([1, 0, 0, 0])
         if kind == SLIDE:
-            p = p + R @ ca.DM(model.jnt_axis[joint]) * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
+            p = p + R @ axis_of(model, joint) * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
             continue
-        anchor = p + R @ ca.DM(model.jnt_pos[joint])
+        anchor = p + R @ column(model.jnt_pos[joint])
         if kind == HINGE:
             angle = q[dof] - model.qpos0[model.jnt_qposadr[joint]]
             R = R @ rotation_about(model.jnt_axis[joint], angle)
-            unit = model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
-            turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
+            turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * column(unit_of(model.jnt_axis[joint])))
         else:
             chart = coordinates.chart_of(joint)
             turned = turned_quaternion(chart, q)
             turn = product(ca.SX(ca.DM(chart.centre)), turned)
             R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)
         quaternion = product(quaternion, turn)
-        p = anchor - R @ ca.DM(model.jnt_pos[joint])
+        p = anchor - R @ column(model.jnt_pos[joint])
     return Frame(p_world_B=p, R_world_B=R, quaternion=quaternion)
 
 
@@ -212,17 +211,17 @@ def _compensation_energy(model: mujoco.MjModel, frames: list[Frame], gravity: ca
         return energy
     for body in range(1, model.nbody):
         if model.body_gravcomp[body]:
-            mass = float(model.body_gravcomp[body] * model.body_mass[body])
+            mass = float(model.body_gravcomp[body]) * number(model.body_mass[body])
             energy += mass * ca.dot(gravity, frames[body].point(model.body_ipos[body]))
     return energy
 
 
-def _potential(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM, inertials: Mapping[int, Inertial]) -> ca.SX:
+def _potential(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
     """Return the potential energy [J] of the moving bodies in gravity."""
     energy = ca.SX(0)
     for body in range(1, model.nbody):
         if model.body_weldid[body] != 0:
-            own = inertials.get(body) or inertial_of(model, body)
+            own = inertial_of(model, body)
             energy -= own.mass * ca.dot(gravity, frames[body].point(own.com))
     return energy
 

@@ -11,6 +11,7 @@ holds a pose. MuJoCo's own `frictionloss` is a soft constraint that is viscous a
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -18,6 +19,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.kinematics import disabled
+from linkplan.models.symbolic_model import is_zero, number
 from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 
@@ -32,7 +34,7 @@ class DryFriction:
     """Dry friction of one degree of freedom or one tendon: `force` [N.m if `turns`, else N]."""
 
     name: str
-    force: float
+    force: Any  # an expression where it is a parameter
     dof: int | None
     tendon: int | None
     turns: bool
@@ -87,16 +89,18 @@ def frictions_of(model: mujoco.MjModel) -> Iterator[DryFriction]:
     """Yield the dry friction of a model's joints and tendons; nothing if the model's options switch friction off."""
     if disabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return
-    for dof in np.flatnonzero(model.dof_frictionloss > 0).tolist():
+    for dof, force in enumerate(number(model.dof_frictionloss[dof]) for dof in range(model.nv)):
+        if is_zero(force):
+            continue
         joint = int(model.dof_jntid[dof])
         kind, place = int(model.jnt_type[joint]), dof - int(model.jnt_dofadr[joint])
         slides = kind == SLIDE or (kind == FREE and place < 3)
-        force = float(model.dof_frictionloss[dof])
         yield DryFriction(name=f"joint {joint_label(model, joint)}", force=force, dof=dof, tendon=None, turns=not slides)
-    for tendon in np.flatnonzero(model.tendon_frictionloss > 0).tolist():
+    for tendon, force in enumerate(number(model.tendon_frictionloss[tendon]) for tendon in range(model.ntendon)):
+        if is_zero(force):
+            continue
         joints = tendon_joints(model, tendon) if is_fixed(model, tendon) else {}
         turns = any(int(model.jnt_type[int(model.dof_jntid[dof])]) != SLIDE for dof in joints)
-        force = float(model.tendon_frictionloss[tendon])
         yield DryFriction(name=f"tendon {tendon_label(model, tendon)}", force=force, dof=None, tendon=tendon, turns=turns)
 
 

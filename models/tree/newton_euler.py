@@ -5,7 +5,7 @@ rotation multiplies velocities and forces only once. Second derivatives are ther
 axes. Gravity is modelled as an upward acceleration of the world, which `FrameMotion.acceleration` includes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.kinematics import joints_of
+from linkplan.models.symbolic_model import axis_of, column, number
 from linkplan.models.tree.coordinates import (
     FREE,
     HINGE,
@@ -67,7 +68,6 @@ def newton_euler(
     velocity: ca.SX,
     acceleration: ca.SX,
     gravity: ca.DM,
-    inertials: Mapping[int, Inertial],
 ) -> ca.SX:
     """Return the generalised forces (nv,) that a motion requires, gravity included.
 
@@ -84,7 +84,7 @@ def newton_euler(
         ways.append(way)
         if model.body_weldid[body] == 0:
             continue
-        own = inertials.get(body) or inertial_of(model, body)
+        own = inertial_of(model, body)
         force[body] = own.mass * motion.at(own.com).acceleration
         spin = own.inertia @ motion.w
         moment[body] = own.inertia @ motion.alpha + ca.cross(motion.w, spin) + ca.cross(own.com, force[body])
@@ -103,10 +103,14 @@ def newton_euler(
 def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:
     """Return the inertial properties that the model gives a body."""
     R_B_I = rotation_from_quaternion(model.body_iquat[body])
-    inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
+    moments = model.body_inertia[body]
+    if isinstance(moments, ca.SX):
+        inertia_B = ca.DM(R_B_I) @ ca.diag(moments) @ ca.DM(R_B_I).T
+        return Inertial(mass=number(model.body_mass[body]), com=column(model.body_ipos[body]), inertia=inertia_B)
+    inertia_B = R_B_I @ np.diag(moments) @ R_B_I.T
     # Without entries of rounding size the expressions of planar mechanisms stay short.
     inertia_B[np.abs(inertia_B) <= 1e-15 * np.abs(inertia_B).max()] = 0.0
-    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(inertia_B))
+    return Inertial(mass=number(model.body_mass[body]), com=column(model.body_ipos[body]), inertia=ca.DM(inertia_B))
 
 
 def _to_body(
@@ -122,7 +126,7 @@ def _to_body(
     joints = joints_of(model, body)
     way: list[Carry] = []
     if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # a free body has no offset
-        offset, R = ca.DM(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
+        offset, R = column(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
         motion = motion.at(offset).seen_from(R)
         way.append(_turned(R, offset))
     for joint in joints:
@@ -132,7 +136,7 @@ def _to_body(
             way.append(_pushed(ca.DM.eye(3), ca.DM.zeros(3), range(dof, dof + 3)))
             dof += 3
         if kind == SLIDE:
-            axis = ca.DM(model.jnt_axis[joint])
+            axis = axis_of(model, joint)
             travel = axis * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
             coriolis = 2 * ca.cross(motion.w, axis * velocity[dof])
             moved = motion.at(travel)
@@ -140,14 +144,14 @@ def _to_body(
             way.append(_pushed(axis, travel, [dof]))
             continue
         if kind == HINGE:
-            axes = ca.DM(model.jnt_axis[joint])
+            axes = axis_of(model, joint)
             R = rotation_about(model.jnt_axis[joint], q[dof] - model.qpos0[model.jnt_qposadr[joint]])
         else:
             chart = coordinates.chart_of(joint)
             axes = ca.DM.eye(3)
             R = ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned_quaternion(chart, q))
         dofs = range(dof, dof + axes.shape[1])
-        anchor = ca.DM(model.jnt_pos[joint])
+        anchor = column(model.jnt_pos[joint])
         rate, rate_of_rate = axes @ velocity[dof : dofs.stop], axes @ acceleration[dof : dofs.stop]
         motion = motion.at(anchor).seen_from(R).spun(rate, rate_of_rate).at(-anchor)
         way += [_turned(R, anchor), _held(axes, anchor, dofs)]

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.kinematics import clamped_joints, data_at, disabled
+from linkplan.models.symbolic_model import is_zero, number, numeric
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -36,12 +37,12 @@ def limits_off(model: mujoco.MjModel) -> bool:
     return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
-def joint_armature(model: mujoco.MjModel) -> np.ndarray:
+def joint_armature(model: mujoco.MjModel) -> ca.SX | ca.DM:
     """Return the armature (n_q,) of joints and of the actuators that drive them directly (reflected by gear^2)."""
-    armature = np.array(model.dof_armature, dtype=float)
+    armature = [number(model.dof_armature[dof]) for dof in range(model.nv)]
     for dof, gear, actuator in _joint_actuators(model):
-        armature[dof] += gear**2 * model.actuator_armature[actuator]
-    return armature
+        armature[dof] += gear**2 * number(model.actuator_armature[actuator])
+    return ca.vertcat(*armature)
 
 
 def _joint_actuators(model: mujoco.MjModel):
@@ -60,8 +61,8 @@ def _tendon_actuators(model: mujoco.MjModel):
             yield int(model.actuator_trnid[actuator, 0]), _gear(model, actuator), actuator
 
 
-def _gear(model: mujoco.MjModel, actuator: int) -> float:
-    return float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+def _gear(model: mujoco.MjModel, actuator: int) -> Any:
+    return number(model.actuator_gear[model.actuator_outadr[actuator], 0])
 
 
 def switched_off(model: mujoco.MjModel, actuator: int) -> bool:
@@ -112,7 +113,7 @@ def _site_forces(model: mujoco.MjModel, frames: Sequence[Any]) -> Iterator[tuple
         if model.actuator_forcelimited[actuator]:
             size = float(np.clip(size, *model.actuator_forcerange[actuator]))
         along = size * model.actuator_gear[model.actuator_outadr[actuator], :3]
-        force = data_at(model).site_xmat[axes].reshape(3, 3) @ along
+        force = data_at(numeric(model)).site_xmat[axes].reshape(3, 3) @ along
         yield ca.DM(force), frames[int(model.site_bodyid[site])].point(model.site_pos[site])
 
 
@@ -154,7 +155,7 @@ def simulated_gas_springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndar
     return moments[outputs].T @ data.actuator_force[outputs]
 
 
-def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[tuple[float, ca.SX]]:
+def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[tuple[ca.SX | float, ca.SX]]:
     """Return the armature of each tendon, its actuators' included, with the tendon's length.
 
     Tendons that couple two branches of the tree are left out: MuJoCo's sparse mass matrix has no entries for them.
@@ -162,16 +163,16 @@ def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[
     return [
         (inertia, lengths[tendon])
         for tendon, inertia in enumerate(tendon_armatures(model))
-        if inertia > 0 and lengths[tendon] is not None and not spans_branches(model, lengths[tendon], q)
+        if not is_zero(inertia) and lengths[tendon] is not None and not spans_branches(model, lengths[tendon], q)
     ]
 
 
-def tendon_armatures(model: mujoco.MjModel) -> list[float]:
+def tendon_armatures(model: mujoco.MjModel) -> list:
     """Return each tendon's armature, its actuators' included (multiplied by gear^2)."""
-    inertia = np.array(model.tendon_armature, dtype=float)
+    inertia = [number(model.tendon_armature[tendon]) for tendon in range(model.ntendon)]
     for tendon, gear, actuator in _tendon_actuators(model):
-        inertia[tendon] += gear**2 * model.actuator_armature[actuator]
-    return inertia.tolist()
+        inertia[tendon] += gear**2 * number(model.actuator_armature[actuator])
+    return inertia
 
 
 def spans_branches(model: mujoco.MjModel, length: ca.SX, q: ca.SX) -> bool:
@@ -198,18 +199,18 @@ def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple
         if length is None:
             continue
         pull, arm = ca.SX(0), ca.jacobian(length, q)
-        a, (b, c) = float(model.tendon_stiffness[tendon]), model.tendon_stiffnesspoly[tendon]
-        if springs and (a or b or c):
+        a, (b, c) = number(model.tendon_stiffness[tendon]), model.tendon_stiffnesspoly[tendon]
+        if springs and not all(map(is_zero, (a, b, c))):
             low, high = (float(x) for x in model.tendon_lengthspring[tendon])
             x = length - high if low == high else ca.fmax(length - high, 0) + ca.fmin(length - low, 0)
             pull -= a * x + b * x**2 + c * x**3
             energy += a * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4
         if dampers:
             speed = arm @ qd
-            pull -= _damper(speed, float(model.tendon_damping[tendon]), *model.tendon_dampingpoly[tendon])
+            pull -= _damper(speed, number(model.tendon_damping[tendon]), *model.tendon_dampingpoly[tendon])
             for driven, gear, actuator in _tendon_actuators(model):
                 if driven == tendon:
-                    coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
+                    coefficients = number(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
                     pull -= gear**2 * _damper(speed, *coefficients)
         force += arm.T * pull
     return force, energy
@@ -227,20 +228,20 @@ def joint_passive(model: mujoco.MjModel, q: ca.SX, velocity: ca.SX) -> tuple[ca.
         dof, address = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
         if springs and int(model.jnt_type[joint]) in (HINGE, SLIDE):
             x = q[dof] - model.qpos_spring[address]
-            a, (b, c) = float(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
-            if a or b or c:
+            a, (b, c) = number(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
+            if not all(map(is_zero, (a, b, c))):
                 force[dof] -= a * x + b * x**2 + c * x**3
                 energy += a * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4
     if dampers:
         for dof in range(model.nv):
-            force[dof] -= _damper(velocity[dof], float(model.dof_damping[dof]), *model.dof_dampingpoly[dof])
+            force[dof] -= _damper(velocity[dof], number(model.dof_damping[dof]), *model.dof_dampingpoly[dof])
         for dof, gear, actuator in _joint_actuators(model):
-            coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
+            coefficients = number(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
             force[dof] -= gear**2 * _damper(velocity[dof], *coefficients)
     return force, energy
 
 
-def _damper(v: ca.SX, a: float, b: float, c: float) -> ca.SX:
+def _damper(v: ca.SX, a: ca.SX | float, b: float, c: float) -> ca.SX:
     """Return a v + b v|v| + c v^3, without the terms whose coefficient is zero."""
     total = a * v
     if b:

@@ -6,12 +6,14 @@ through sites and around geoms, with each branch divided by its pulley's divisor
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import mujoco
 
 from linkplan.models.errors import ModelError
 from linkplan.models.kinematics import HINGE, data_at
+from linkplan.models.symbolic_model import column, number, numeric
 from linkplan.models.tree.passive import limits_off
 from linkplan.models.tree.wrapping import CYLINDER, SPHERE, side_of, wrapped_length
 
@@ -58,16 +60,16 @@ def _geoms_of(model: mujoco.MjModel, tendon: int) -> list[int]:
 
 def _sides(model: mujoco.MjModel, tendon: int) -> dict[int, str | None]:
     """Return the side of the rope at each geom of a tendon's path, at the model's reference pose."""
-    data = data_at(model)
+    data = data_at(numeric(model))
     return {k: side_of(model, data, k) for k in _geoms_of(model, tendon)}
 
 
-def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, Any]:
     """Return the coefficients of a fixed tendon's length by coordinate index."""
-    found: dict[int, float] = {}
+    found: dict[int, Any] = {}
     for k in path_of(model, tendon):
         dof = int(model.jnt_dofadr[model.wrap_objid[k]])
-        found[dof] = found.get(dof, 0.0) + float(model.wrap_prm[k])
+        found[dof] = found.get(dof, 0.0) + number(model.wrap_prm[k])
     return found
 
 
@@ -140,7 +142,7 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         if (side := sides.get(k - 1)) is not None and before is not None:
             length += wrapped_length(model, frames, k - 1, side, (before[1], point)) / divisor
         elif before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
-            length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
+            length += number(ca.norm_2(column(model.site_pos[site]) - column(model.site_pos[before[0]]))) / divisor
         elif before is not None:
             # MuJoCo's least length (mjMINVAL) makes the derivative zero, and not 0 / 0, where two sites coincide.
             length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), 1e-15**2)) / divisor

@@ -89,7 +89,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
     A node's parameters are, in this order: weights of the running costs; the scaled reference (n_s,) if it is tracked;
-    scales; numbers of the limits; numbers of the payload; forces over time.
+    scales; numbers of the limits; the mechanism's parameters; forces over time.
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u, has_jerk=asked.has_jerk)
@@ -106,13 +106,13 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         "force": 1,
     }
     sizes |= {"limits": sum(limit.rows.n_numbers for limit in asked.limits)}
-    sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
+    sizes |= {"parameters": len(mechanism.parameters)}
     sizes |= {"forces": 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
     q = in_order(mechanism, node.s * given["position"], z)
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
-    call = _caller(mechanism, given["payload"], given["forces"])
+    call = _caller(mechanism, given["parameters"], given["forces"])
     # Rates and accelerations of dependent joints, multipliers, and jerks of dependent joints, in SI.
     n_d, n_mu = n_q - n_s, mechanism.dynamics.equations.numel_in(3)
     blocks = (n_d, n_d, n_mu, n_d if asked.has_jerk else 0)
@@ -132,7 +132,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         v=v,
         a=a,
         u=u,
-        payload=given["payload"],
+        parameters=given["parameters"],
         forces=given["forces"],
         call=call,
         units=given,
@@ -198,11 +198,11 @@ def _split(column: ca.SX, sizes: list[int]) -> list[ca.SX]:
     return [column[end - size : end] for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
 
 
-def _caller(mechanism: Mechanism, payload: ca.SX, forces: ca.SX) -> Callable[..., Any]:
-    """Return a function that calls the reduced dynamics by name, with the payload's numbers and forces as parameters."""
-    if mechanism.payload is None and mechanism.forces is None:
+def _caller(mechanism: Mechanism, parameters: ca.SX, forces: ca.SX) -> Callable[..., Any]:
+    """Return a function that calls the reduced dynamics by name, with their parameters and forces as last input."""
+    if not mechanism.parameters and mechanism.forces is None:
         return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
-    return with_parameters(mechanism.parametric_dynamics(), ca.vertcat(payload, forces))
+    return with_parameters(mechanism.parametric_dynamics(), ca.vertcat(parameters, forces))
 
 
 def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> tuple[np.ndarray, np.ndarray]:
@@ -214,7 +214,5 @@ def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: floa
     """
     of = problem.objective.terms.items()
     weights = [problem.objective.weight(name) * scales.time_s / value for name, term in of if term in asked.running]
-    after = [scales.vector(), *(limit.rows.numbers(problem) for limit in asked.limits)]
-    if problem.mechanism.payload is not None:
-        after.append(problem.mechanism.payload.numbers())
+    after = [scales.vector(), *(limit.rows.numbers(problem) for limit in asked.limits), problem.mechanism.parameter_values]
     return np.asarray(weights, dtype=float), np.concatenate([np.asarray(part, dtype=float) for part in after])

@@ -148,6 +148,8 @@ def set_key(tables: Tables, key: str, value: object) -> None:
         ProblemError: when the key is malformed, or a value is on its path.
     """
     path = [part.strip() for part in key.split(".")]
+    if path[0] == "parameters" and len(path) > 2:  # names of parameters have a dot: parameters.shank.mass.value
+        path[1:3] = [".".join(path[1:3])]
     if len(path) < 2 or not all(path):
         raise ProblemError(f"a setting must be section.key=value, got '{key}'")
     node: dict[str, Any] = tables

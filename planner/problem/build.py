@@ -24,6 +24,7 @@ from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.parameters import changes_forces_only
 from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
@@ -40,6 +41,7 @@ from linkplan.planner.problem.keys.sections import (
     MechanismSection,
     MotionSection,
     ObjectiveSection,
+    ParameterTable,
     ProblemFile,
     TrackingSection,
 )
@@ -104,9 +106,11 @@ def values_of(
     tables: Tables = to_toml_types(described)
     if mechanism is not None:
         tables["mechanism"] = table_of(mechanism)
+        if named := parameters_of(mechanism) | tables.get("parameters", {}):
+            tables["parameters"] = named
     refuse_unknown_keys(tables)
     if mechanism is None:
-        mechanism = _mechanism(tables.setdefault("mechanism", {}), folder)
+        mechanism = _mechanism(tables.setdefault("mechanism", {}), folder, tables.get("parameters", {}))
     if mechanism.n_u == 0:
         raise ProblemError(no_actuator(mechanism) + "".join(f"; {item.text}" for item in audit(mechanism.model)))
     _replace_files(tables, mechanism, folder)
@@ -145,7 +149,7 @@ def values_of(
         "path": path,
         "objective": objective,
         "limits": limits,
-        "robust": Robust(**structs.asdict(asked.robust)),
+        "robust": Robust(**structs.asdict(asked.robust), box=_box(asked, mechanism)),
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
         "guess": guess,
@@ -190,7 +194,7 @@ def mechanism_from_tables(tables: Mapping[str, dict], folder: Path | None = None
     """Return the mechanism of a file's [mechanism] table; the other tables are only checked for unknown keys."""
     tables = to_toml_types(tables)
     refuse_unknown_keys(tables)
-    return _mechanism(tables.get("mechanism", {}), folder)
+    return _mechanism(tables.get("mechanism", {}), folder, tables.get("parameters", {}))
 
 
 def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None = None) -> Tracking:
@@ -245,7 +249,7 @@ def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, 
     return asked, Selection(**{field.name: given[field.name] for field in fields(Selection) if field.name in given})
 
 
-def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+def _mechanism(section: dict, folder: Path | None, parameters: Mapping[str, Any]) -> Mechanism:
     asked, selection = _model_asked(section, folder)
     mechanism = load_mechanism(
         section["model"],
@@ -256,16 +260,52 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         closure_tolerance_m=asked.closure_tolerance_m,
         selection=selection,
         friction_transition=np.radians(asked.friction_transition_deg_s),
+        parameters=parameter_values(parameters),
     )
     joint_values(asked, "home", "mechanism", mechanism)  # raises an error for degrees on a slide and metres on a hinge
-    return replace(mechanism, source=asked.replace(model=section["model"]).to_dict())
+    named = {"parameters": dict(parameters)} if parameters else {}
+    return replace(mechanism, source=asked.replace(model=section["model"]).to_dict() | named)
+
+
+def parameter_values(tables: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the values [SI] of the parameters of a table [parameters], None where the model's own is kept."""
+    found = {name: given.get("value") if isinstance(given, Mapping) else given for name, given in tables.items()}
+    return {name: value if isinstance(value, int | float) else None for name, value in found.items()}
+
+
+def _box(asked: ProblemFile, mechanism: Mechanism) -> tuple[tuple[str, float, float], ...]:
+    """Return the parameters that [robust] names, with the ends of their ranges [SI].
+
+    Raises:
+        ProblemError: for a range that does not contain the value, a name without a range, or a number that changes more than
+            the forces that a motion needs.
+    """
+    known = {one.name: one for one in mechanism.parameters}
+    ranges: dict[str, tuple[float, float]] = {}
+    for name, table in asked.parameters.items():
+        if not isinstance(table, ParameterTable) or table.range is None:
+            continue
+        (low, high), value = table.range, known[name].value
+        if not low <= value <= high:
+            raise ProblemError(f"parameters.'{name}'.range must contain the value {value:.6g}, got [{low:g}, {high:g}]")
+        ranges[name] = (low, high)
+    for name in asked.robust.parameters:
+        if name not in ranges:
+            given = f"those with one are {', '.join(ranges)}" if ranges else "none has one"
+            raise ProblemError(f"robust.parameters names '{name}', which needs a range in [parameters]; {given}")
+        if not changes_forces_only(known[name]):
+            raise ProblemError(
+                f"robust.parameters names '{name}', which changes poses or moment arms: one motion of the joints serves only"
+                " machines that differ in masses, inertias, friction, damping or springs"
+            )
+    return tuple((name, *ranges[name]) for name in asked.robust.parameters)
 
 
 def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], folder: Path | None) -> Mechanism:
     """Return a mechanism with other independent coordinates, and set them in the tables."""
     tables["mechanism"]["independent"] = named
     try:
-        return _mechanism(tables["mechanism"], folder)
+        return _mechanism(tables["mechanism"], folder, tables.get("parameters", {}))
     except ModelError as error:
         had = ", ".join(joint.name for joint in mechanism.independent_joints)
         raise ProblemError(
@@ -381,13 +421,19 @@ def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None
         found = to_toml_types(found)
         found = mechanism_from_tables({"mechanism": found if isinstance(found, dict) else {"model": found}})
     asked = {key: to_toml_types(value) for key, value in said.items() if key in MECHANISM_ARGUMENTS}
-    table = {key: value for key, value in (found.source | asked).items() if value is not None}
-    return mechanism_from_tables({"mechanism": table}) if asked else found
+    table = {key: value for key, value in (table_of(found) | asked).items() if value is not None}
+    return mechanism_from_tables({"mechanism": table, "parameters": parameters_of(found)}) if asked else found
 
 
 def table_of(mechanism: Mechanism) -> dict:
     """Return a mechanism as a table [mechanism]."""
-    return copy.deepcopy(dict(mechanism.source))
+    return copy.deepcopy({key: value for key, value in mechanism.source.items() if key != "parameters"})
+
+
+def parameters_of(mechanism: Mechanism) -> dict:
+    """Return the parameters of a mechanism as a table [parameters]."""
+    named = mechanism.source.get("parameters", {})
+    return {name: {} if given is None else copy.deepcopy(given) for name, given in named.items()}
 
 
 def given_extras(said: Mapping[str, object]) -> dict:

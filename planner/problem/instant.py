@@ -22,6 +22,7 @@ import numpy as np
 from linkplan.models.actuation.distribution import UNLIMITED, actuator_sizes, distribute
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import is_payload_s_weight
 from linkplan.models.poses.along import is_redundant, joint_acceleration, joint_jerk, sampled, site_derivative
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import ReducedDynamics
@@ -34,11 +35,15 @@ MAX_CORNERS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corner:
-    """A machine at a corner of the ranges: factors, and frictions (joint, viscous [N.m.s/rad], signed Coulomb [N.m])."""
+    """A machine at a corner of the ranges: factors, frictions (joint, viscous [N.m.s/rad], signed Coulomb [N.m]), parameters.
+
+    `named` are values [SI] of the mechanism's parameters by name.
+    """
 
     payload_factor: float = 1.0
     torque_factor: float = 1.0
     friction: tuple[tuple[str, float, float], ...] = ()
+    named: tuple[tuple[str, float], ...] = ()
 
     @property
     def description(self) -> str:
@@ -49,13 +54,26 @@ class Corner:
         if self.torque_factor != 1:
             words.append(f"torque constant {self.torque_factor:g}")
         words += [f"{joint} rubbing {viscous:g} v {coulomb:+g}" for joint, viscous, coulomb in self.friction]
+        words += [f"{name} {value:g}" for name, value in self.named]
         return ", ".join(words) or "nominal"
+
+    @property
+    def changes_parameters(self) -> bool:
+        """Whether the corner's machine has other parameters than the nominal one."""
+        return self.payload_factor != 1.0 or bool(self.named)
+
+    def parameters(self, mechanism: Mechanism, nominal: Any) -> list:
+        """Return the parameters (n,) at the corner, from the nominal ones (n,), numbers or symbols [SI]."""
+        factors = (self.payload_factor if is_payload_s_weight(one.name) else 1.0 for one in mechanism.parameters)
+        every = enumerate(zip(mechanism.parameters, factors, strict=True))
+        return [dict(self.named).get(one.name, factor * nominal[k]) for k, (one, factor) in every]
 
 
 class Robust(RobustSection, frozen=True, eq=False):
     """The [robust] of a problem."""
 
     room: float = 1.0  # a factor on effort limits at the corners, which a diagnosis increases
+    box: tuple[tuple[str, float, float], ...] = ()  # the named parameters with the ends of their ranges [SI]
 
     def __post_init__(self) -> None:
         factors = {name: getattr(self, name) for name in ("payload_factor", "torque_constant_factor")}
@@ -78,9 +96,11 @@ class Robust(RobustSection, frozen=True, eq=False):
             viscous = sorted({*self.viscous_friction.get(joint, (0.0, 0.0))})
             choices.append([(joint, d, c) for d in viscous for c in signs])
         factors = (sorted({*self.payload_factor}), sorted({*self.torque_constant_factor}))
-        found = itertools.product(*factors, itertools.product(*choices))
-        corners = (Corner(payload_factor=p, torque_factor=k, friction=tuple(one)) for p, k, one in found)
-        return tuple(one for one in corners if (one.payload_factor, one.torque_factor) != (1.0, 1.0) or _rubs(one))
+        named = [[(name, end) for end in sorted({low, high})] for name, low, high in self.box]
+        found = itertools.product(*factors, itertools.product(*choices), itertools.product(*named))
+        corners = (Corner(payload_factor=p, torque_factor=k, friction=one, named=at) for p, k, one, at in found)
+        nominal = lambda one: (one.payload_factor, one.torque_factor) == (1.0, 1.0) and not _rubs(one)  # noqa: E731
+        return tuple(one for one in corners if one.named or not nominal(one))
 
 
 def _rubs(corner: Corner) -> bool:
@@ -91,17 +111,17 @@ def _needed(at: "Instant", corners: Sequence[Corner]) -> list[ca.SX]:
     """Return the generalised efforts (n_s,) of an instant's motion at each corner, before division by the torque factor."""
     gamma = at.call("velocity_map", at.q)
     rates = gamma @ at.v
-    modelled: dict[float, ca.SX] = {}
+    modelled: dict[Corner, ca.SX] = {}
     found = []
     for corner in corners:
-        factor = corner.payload_factor
-        if factor not in modelled:
-            if factor == 1:
-                modelled[factor] = at.call("inverse_dynamics", at.q, at.v, at.a)
+        machine = Corner(payload_factor=corner.payload_factor, named=corner.named)
+        if machine not in modelled:
+            if machine.changes_parameters:
+                parameters = ca.vertcat(*machine.parameters(at.mechanism, at.parameters), at.forces)
+                modelled[machine] = at.mechanism.parametric_dynamics().inverse_dynamics(at.q, at.v, at.a, parameters)
             else:
-                scaled = ca.vertcat(factor * at.payload[0], at.payload[1:4], factor * at.payload[4:7], at.forces)
-                modelled[factor] = at.mechanism.parametric_dynamics().inverse_dynamics(at.q, at.v, at.a, scaled)
-        tau = modelled[factor]
+                modelled[machine] = at.call("inverse_dynamics", at.q, at.v, at.a)
+        tau = modelled[machine]
         for name, viscous, coulomb in corner.friction:
             joint = at.mechanism.joint_index(name)
             tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
@@ -232,7 +252,7 @@ class Instant:
     Args:
         mechanism: the mechanism.
         q, v, a, u: pose (n_q,), independent speeds and accelerations (n_s,), efforts (n_u,).
-        payload: numbers (7,) of the payload; empty without a payload.
+        parameters: of the mechanism (n,).
         forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
         units: the program's units by name: time, position, effort, residual, length, power, force.
@@ -249,7 +269,7 @@ class Instant:
     v: ca.SX
     a: ca.SX
     u: ca.SX
-    payload: ca.SX
+    parameters: ca.SX
     forces: ca.SX
     call: Callable[..., ca.SX]
     units: Mapping[str, ca.SX] = field(default_factory=dict)
@@ -354,11 +374,12 @@ def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tupl
     sizes |= {"rate": mechanism.n_u, "reference": mechanism.dof, "jerk": mechanism.dof}
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     q, v, a, u, rate, reference, jerk = symbols
-    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+    parameters = ca.SX(ca.DM(mechanism.parameter_values))
     forces = ca.SX.sym("forces", 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites))
     call = with_parameters(mechanism.forced, forces)
     given = {"effort_rate": rate, "jerk": jerk, "reference": reference, "losses": losses}
-    return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, forces=forces, call=call, **given), symbols
+    given |= {"parameters": parameters, "forces": forces, "call": call}
+    return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, **given), symbols
 
 
 def jerk_columns(at: Instant, value: ca.SX) -> tuple[int, ...]:

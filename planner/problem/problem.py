@@ -215,6 +215,20 @@ class Problem:
         return known | {name: self.mechanism.model.site(name).id for name in named}
 
     @property
+    def tolerances(self) -> dict[str, tuple[float, float]]:
+        """The tolerance and the standard deviation [SI] of the parameters that have one of them.
+
+        Errors within a tolerance are spread evenly; without a tolerance, three standard deviations are the worst case.
+        """
+        tables = self.sections.parameters.items()
+        given = {name: (one.tolerance, one.sd) for name, one in tables if not isinstance(one, float | int)}
+        return {
+            name: (3 * sd if largest is None else largest, largest / np.sqrt(3) if sd is None else sd)
+            for name, (largest, sd) in given.items()
+            if largest or sd
+        }
+
+    @property
     def bodies(self) -> dict[str, int]:
         """The indices in the model of all bodies whose angle the problem names, by name: in motion, limits or reference."""
         angles = [task for task in self.motion.tasks if isinstance(task, BodyAngle)]
@@ -265,7 +279,9 @@ class Problem:
         build.apply_settings(tables, {key: value} if isinstance(key, str) and key else key or {})
         own = {name: getattr(self, name) for name in ("extra_costs", "extra_limits", "unread_extras", "remarks")}
         name = build.checked_name(changes.get("name") or self.name)
-        same = mechanism if tables["mechanism"] == build.table_of(mechanism) else None
+        values = build.parameter_values(tables.get("parameters", {}))
+        same = tables["mechanism"] == build.table_of(mechanism)
+        same = mechanism if same and values == build.parameter_values(build.parameters_of(mechanism)) else None
         return self.from_tables(name, tables, None, same, **own | build.given_extras(changes))._in_reach()
 
     def varied(self, **values: Any) -> Problem:

@@ -102,11 +102,16 @@ class Kinetics:
 
     def needed(self, corner: Corner | None = None) -> tuple[list[Ball], list[Ball]]:
         """Return the reduced efforts tau (n_s,) and the multipliers J_z^-T (...)_z of the nominal model or of a corner."""
-        state, factor = self.state, 1.0 if corner is None else corner.payload_factor
-        walk = state.blocks.tree if factor == 1.0 else loaded_tree(state.blocks.mechanism, factor)
-        if factor not in self._trees:
-            self._trees[factor] = dense(walk(state.q, self.rates, self.accelerations, *state.forces)[0], len(state.q))
-        forces = list(self._trees[factor])
+        state, mechanism = self.state, self.state.blocks.mechanism
+        values = (
+            ()
+            if corner is None or not corner.changes_parameters
+            else tuple(corner.parameters(mechanism, mechanism.parameter_values.tolist()))
+        )
+        walk = loaded_tree(mechanism, values) if values else state.blocks.tree
+        if values not in self._trees:
+            self._trees[values] = dense(walk(state.q, self.rates, self.accelerations, *state.forces)[0], len(state.q))
+        forces = list(self._trees[values])
         for name, viscous, coulomb in () if corner is None else corner.friction:
             joint = state.blocks.mechanism.joint_index(name)
             forces[joint] = forces[joint] + viscous * self.rates[joint] + coulomb

@@ -325,13 +325,11 @@ def pose_walk(mechanism: Mechanism, name: str) -> tuple[Walk, int]:
 
 
 @functools.lru_cache(maxsize=16)
-def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
-    """Return the walk of the tree (see `Blocks`) with the payload's mass and inertia multiplied by a factor."""
-    numbers = np.array(mechanism.payload.numbers(), dtype=float)
-    numbers[[0, 4, 5, 6]] *= payload_factor
+def loaded_tree(mechanism: Mechanism, values: tuple[float, ...]) -> Walk:
+    """Return the walk of the tree (see `Blocks`) with values (n,) [SI] of the mechanism's parameters."""
     symbols = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
     forces = force_symbols(mechanism)
-    loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.vertcat(ca.DM(numbers), *forces))
+    loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.vertcat(ca.DM(values), *forces))
     return _walk("loaded_tree", [*symbols, *forces], ca.densify(loaded))
 
 

@@ -284,10 +284,8 @@ def structure(problem: Problem) -> tuple:
     terms = tuple(problem.objective.weights)
     if problem.objective.has("peak_effort"):  # whose rows have the limits as coefficients
         terms += (effort_bounds(problem).tobytes(), *problem.objective.weights.values())
-    payload = problem.mechanism.payload
     of = (
-        problem.mechanism.fingerprint(payload_apart=True),
-        payload is None or payload.body,
+        problem.mechanism.fingerprint(parameters_apart=True),
         motion.kind,
         problem.free_at_end.tobytes(),
         terms,

@@ -5,13 +5,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, Struct, UnsetType
 from msgspec.structs import asdict, replace
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.foreign.floating import floating_bodies
 from linkplan.models.foreign.model_text import urdf_root
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import parameters_of
 from linkplan.models.selected_model import whole_model_text
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import Tables
@@ -41,8 +42,23 @@ from linkplan.studies.check.site_statics import (
     statics_plots,
 )
 from linkplan.studies.check.summary import summary_blocks
-from linkplan.studies.output.document import Block, Section, Text
+from linkplan.studies.check.tolerances import (
+    Tolerances,
+    tolerance_blocks,
+    tolerance_plots,
+    tolerances_along,
+    with_tolerances,
+)
+from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
+
+
+class NamedNumber(Struct, frozen=True, kw_only=True):
+    """A number of a model that can be a parameter, in SI."""
+
+    name: str
+    value: float
+    unit: str
 
 
 class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, dict=True):
@@ -50,6 +66,8 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
 
     along: Sequence[PathFigures] | UnsetType = UNSET
     sites: Sequence[SiteStatics] | UnsetType = UNSET
+    parameters: Sequence[NamedNumber] | UnsetType = UNSET
+    tolerances: Sequence[Tolerances] | UnsetType = UNSET
     sweeps: Beside[tuple[Sweep, ...]] = NOT_READ
 
     @property
@@ -96,7 +114,14 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else []), *self._site_blocks()]
 
     def _site_blocks(self) -> list[Block]:
-        return [block for site in self.sites or () for block in statics_blocks(site)]
+        found = [block for site in self.sites or () for block in statics_blocks(site)]
+        found += [block for errors in self.tolerances or () for block in tolerance_blocks(errors)]
+        if self.parameters:
+            rows = [[one.name, one.value, one.unit] for one in self.parameters]
+            found.append(
+                table_of("Numbers of the model for [parameters]", [("name", ""), ("value", ""), ("unit", "")], rows)
+            )
+        return found
 
     def summary(self) -> list[Block]:
         """Return the findings in at most thirty lines; first the notes on actuators too weak for weight and springs."""
@@ -112,6 +137,9 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         for site in self.sites or ():
             blocks = [*statics_blocks(site), *statics_plots(site)]
             found.append(Section(title=f"Site {site.site} along {site.path}", blocks=blocks, depth=2))
+        for errors in self.tolerances or ():
+            blocks = [*tolerance_blocks(errors), *tolerance_plots(errors)]
+            found.append(Section(title=f"Tolerances along {errors.path}", blocks=blocks, depth=2))
         return found
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
@@ -125,6 +153,12 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         if panels:
             title = f"{self.name}: what sites do for an effort, at rest"
             yield "sites", FigureSpec(panels=panels, title=title, columns=2, panel_in=one_screen(len(panels), 2, (6.0, 3.3)))
+
+        panels = [plot for errors in self.tolerances or () for plot in tolerance_plots(errors)]
+        if panels:
+            title = f"{self.name}: errors by tolerances"
+            size = one_screen(len(panels), 2, (6.0, 3.3))
+            yield "tolerances", FigureSpec(panels=panels, title=title, columns=2, panel_in=size)
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write the model as it was read, if it differs from the file."""
@@ -160,6 +194,9 @@ def check_whole(
     poses: Sequence[dict[str, float]] = (),
     notes: Sequence[str] = (),
     site_forces: Mapping[str, Sequence[float]] | None = None,
+    tolerances: Mapping[str, float] | None = None,
+    *,
+    with_parameters: bool = False,
 ) -> WholeCheck:
     """Return the check of a mechanism, along its problem's motion if there is a problem.
 
@@ -169,6 +206,8 @@ def check_whole(
         poses: joint positions [rad or m] by name, each with a report.
         notes: further sentences for the report.
         site_forces: forces (3,) [N] that act on sites, one at a time, with the statics of all sites; None leaves them out.
+        tolerances: of numbers of the model [SI] by name or pattern, with those of the problem; None leaves errors out.
+        with_parameters: whether the numbers of the model that can be parameters are listed.
 
     Raises:
         ProblemError: if a pose is out of reach or names a dependent joint, or a force is on no site.
@@ -180,17 +219,40 @@ def check_whole(
     singular = [note for path in along for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
     sites = UNSET if site_forces is None else _statics(mechanism, along, poses, checked_forces(mechanism, site_forces))
-    return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along, sites=sites)
+    errors = UNSET if tolerances is None else _errors(mechanism, problem, along, poses, tolerances)
+    numbers = UNSET
+    if with_parameters:
+        every = parameters_of(mechanism.model).values()
+        numbers = [NamedNumber(name=one.name, value=one.value, unit=one.unit) for one in every]
+    further = {"sites": sites, "tolerances": errors, "parameters": numbers}
+    return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along, **further)
+
+
+def _errors(
+    mechanism: Mechanism,
+    problem: Problem | None,
+    along: Sequence[Sweep],
+    poses: Sequence[dict[str, float]],
+    tolerances: Mapping[str, float],
+) -> list[Tolerances]:
+    """Return the errors by tolerances along each path, and at the poses asked for."""
+    machine, errors = with_tolerances(mechanism, tolerances, {} if problem is None else problem.tolerances)
+    return [tolerances_along(path, machine, errors) for path in _measured(mechanism, along, poses)]
 
 
 def _statics(
     mechanism: Mechanism, along: Sequence[Sweep], poses: Sequence[dict[str, float]], forces: Mapping[str, np.ndarray]
 ) -> list[SiteStatics]:
     """Return the statics of all sites along each path, and at the poses asked for."""
+    return [site for path in _measured(mechanism, along, poses) for site in site_statics(path, forces)]
+
+
+def _measured(mechanism: Mechanism, along: Sequence[Sweep], poses: Sequence[dict[str, float]]) -> list[KinematicLoopPath]:
+    """Return the loop reports along each path, and at the poses asked for."""
     paths = [measured(sweep) for sweep in along]
     if poses:
         paths.append(measure(mechanism, np.array([asked_pose(mechanism, asked) for asked in poses]), "the poses asked for"))
-    return [site for path in paths for site in site_statics(path, forces)]
+    return paths
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

@@ -137,6 +137,7 @@ Breaks = Annotated[
 ]
 Names = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of joint names"})]
 Sites = Annotated[list[str], Meta(extra={"said": "a list of names of sites"})]
+ParameterNames = Annotated[list[str], Meta(extra={"said": "a list of names in [parameters]"})]
 Settings = Annotated[list[str], Meta(extra={"said": 'a list of "section.key=value"'})]
 Weights = Annotated[
     dict[Term, Weight],

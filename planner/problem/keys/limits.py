@@ -225,3 +225,8 @@ class RobustSection(Section, frozen=True):
         "none",
     )
     coulomb_friction: kinds.Ranges = by_name("[low, high] of a joint's dry friction, of either sign", "N.m, N", "none")
+    parameters: kinds.ParameterNames = key(
+        "numbers of the model, named and with a range in [parameters], whose every combination of ends is a machine",
+        otherwise="none",
+        default=[],
+    )

@@ -32,6 +32,7 @@ _MODEL = Meta(
 _PAYLOAD = Meta(extra={"said": f"a built-in name ({', '.join(kinds.PAYLOADS)}, none) or a table"})
 _SWITCH = Meta(extra={"said": "true or false"})
 _PLAN = Meta(extra={"said": "a saved plan's folder"})
+_PARAMETERS = Meta(extra={"of": "name = its value or table"})
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
@@ -126,6 +127,15 @@ class ObjectiveSection(Section, frozen=True):
         " loss, squared effort rate, squared closure force",
         otherwise="effort; tracking if there is a reference to follow",
     )
+
+
+class ParameterTable(Section, frozen=True):
+    """A number of the model that stays a symbol in its equations: its value, and how well it is known."""
+
+    value: kinds.Number | None = key("its value; also written as NAME = value", "SI", "the model's own")
+    range: kinds.Interval = key("[low, high] that contains it", "SI", "none")
+    sd: kinds.AtLeastZero = key("its standard deviation", "SI", "none")
+    tolerance: kinds.AtLeastZero = key("the largest error of its manufacture, of either sign", "SI", "none")
 
 
 class GuessSection(Section, frozen=True):
@@ -225,6 +235,10 @@ class ProblemFile(Section, frozen=True, kw_only=True):
         "machines for which one motion satisfies every effort limit",
         otherwise="the nominal machine",
         default=RobustSection(),
+    )
+    parameters: Annotated[dict[str, kinds.Number | ParameterTable], _PARAMETERS] = by_name(
+        "numbers of the model by name (linkplan check MODEL --parameters): values, ranges, tolerances",
+        otherwise="none: every number is a constant",
     )
     motors: Annotated[dict[str, MotorTable], _MOTORS] = by_name(
         "the motor behind an actuator, by the actuator's name",
