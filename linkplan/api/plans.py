@@ -24,6 +24,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.refutations import proved_after_refinement
 from linkplan.planner.search.replan import NextMotion, Replanner
+from linkplan.planner.search.sensitivities import with_sensitivities
 from linkplan.studies.output.paths import check_flags, drawn, path_of
 from linkplan.studies.output.result import Reported, Result
 
@@ -40,7 +41,9 @@ PROVING = "proving the limits, then that the model has a motion near the plan (a
 
 
 @command("plan a motion and certify it between the nodes", saved=True, showing=("all", "report", "parquet", "jumps"))
-def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool = False) -> Plan:
+def plan(
+    problem: ProblemLike, progress: Progress | None = None, *, prove: bool = False, sensitivities: bool = False
+) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 
     If the problem has a reserve or ranges, the nominal machine is planned too, to state the price of robustness. The motion
@@ -50,6 +53,8 @@ def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool 
         problem: a `Problem`, a built-in name or the path of a problem file.
         progress: called with lines on the progress.
         prove: whether the motion is proved, however long it takes.
+        sensitivities: the slopes of the objective by the payload and the numbers in [parameters], exact, with the effect of
+            one per cent and of a tolerance.
 
     Raises:
         LinkplanError: if the problem is invalid.
@@ -58,10 +63,16 @@ def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool 
 
         print(linkplan.plan("knee-reach"))
     """
-    check_flags(prove=prove)
-    say, begun = listener(progress), time.process_time()
-    found = plan_motion(given_problem(problem), say)
+    check_flags(prove=prove, sensitivities=sensitivities)
+    say, begun, asked = listener(progress), time.process_time(), given_problem(problem)
+    if sensitivities and not asked.mechanism.parameters:
+        raise ProblemError(
+            "sensitivities are by numbers of the machine: name them in [parameters]; linkplan check MODEL --parameters lists them"
+        )
+    found = plan_motion(asked, say)
     found = with_price(found, price_of(found, say))
+    if sensitivities:
+        found = with_sensitivities(found, say)
     return Plan.of(_proved(found, prove, begun, say))
 
 
@@ -299,10 +310,11 @@ class Plan(planned.Plan, Reported):
     def blocks(self) -> list[Block]:
         """Return the plan as a document's blocks: motion, certificate, proof and price."""
         from linkplan.studies.output.document import Text
-        from linkplan.studies.output.plan_blocks import plan_blocks
+        from linkplan.studies.output.plan_blocks import plan_blocks, sensitivity_blocks
 
         price = saved_price(self)
-        return [*plan_blocks(self), *([] if price is None else [Text(text=price.sentence())])]
+        more = [] if price is None else [Text(text=price.sentence())]
+        return [*plan_blocks(self), *more, *sensitivity_blocks(self)]
 
     @property
     def struct(self) -> PlanRecord:

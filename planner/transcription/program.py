@@ -166,11 +166,11 @@ def build_program(
     n_eta = chain.own.size1_in(2)
     at_nodes = functools.partial(over_columns, lanes=node.lanes, n=m * n)
     at_intervals = functools.partial(over_columns, lanes=chain.lanes, n=n)
-    gather = _gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
+    places = gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
     n_open_ends = interval.n_open_ends
     size = (1 + n_eta + (m + n_open_ends) * n_theta) * n
     x, p = ca.MX.sym("x", layout.size), ca.MX.sym("p", size + (endpoint.n_parameters if endpoint else 0))
-    w = ca.reshape(x[gather.ravel().tolist()], gather.shape[1], n)
+    w = ca.reshape(x[places.ravel().tolist()], places.shape[1], n)
     P = ca.reshape(p[:size], size // n, n)
     share, eta, theta = P[0, :], P[1 : 1 + n_eta, :], P[1 + n_eta :, :]
     ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
@@ -194,7 +194,7 @@ def build_program(
     rows, columns = chain.jacobian_pattern
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
     global_rows = np.concatenate([global_rows, linear.rows + n * interval.n_rows])
-    global_columns = np.concatenate([gather[:, columns].ravel(), linear.columns])
+    global_columns = np.concatenate([places[:, columns].ravel(), linear.columns])
     n_rows = n * interval.n_rows + linear.shape[0]
     nonzeros = ca.vertcat(ca.vec(values), ca.DM(linear.values))
     if ends:
@@ -206,7 +206,7 @@ def build_program(
 
     running_gradient = at_nodes(node.node_cost_gradient)(xi, theta_nodes)
     gradients = at_intervals(chain.chain_gradient)(w, share, eta, costs, running_gradient)
-    gradient = scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
+    gradient = scatter(places.ravel(), layout.size) @ ca.vec(gradients) + c
     if ends:
         gradient += scatter(ends.gradient_places, layout.size) @ ends.gradient
 
@@ -232,7 +232,7 @@ def build_program(
             running_gradient,
         )
         rows, columns = chain.hessian_pattern
-        first, second = gather[:, rows].ravel(), gather[:, columns].ravel()
+        first, second = places[:, rows].ravel(), places[:, columns].ravel()
         shape = (layout.size, layout.size)
         hess_values = ca.vec(hess_values)
         if ends:
@@ -338,7 +338,8 @@ def _column(values: ca.SX) -> ca.SX:
     return ca.reshape(values, values.numel(), 1)
 
 
-def _gather(layout: Layout, mesh: Mesh) -> np.ndarray:
+def gather(layout: Layout, mesh: Mesh) -> np.ndarray:
+    """Return the indices (n, n_w) of each interval's unknowns."""
     n = layout.n_intervals
     block = np.arange(n)[:, None] * layout.block + np.arange(layout.block + layout.n_state)
     return np.hstack([block, layout.durations()[mesh.segment][:, None]])

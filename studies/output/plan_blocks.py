@@ -19,6 +19,7 @@ from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.refinement.history import Step
+from linkplan.planner.search.sensitivities import sensitivities_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Axis, Block, Facts, NumberText, Plane, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
@@ -91,6 +92,17 @@ def objective_unit(problem: Problem) -> str:
     elif terms[0] == "tracking":
         units = [unit if joint.kind == "hinge" else unit.replace("rad2", "m2") for joint in mechanism.independent_joints]
     return f" {' and '.join(dict.fromkeys(units))}"
+
+
+def sensitivity_blocks(plan: Plan) -> list[Block]:
+    """Return the table of the objective's slopes by the numbers of the machine; empty without any."""
+    found = sensitivities_of(plan)
+    if not found:
+        return []
+    unit = plan.problem.objective.unit or "1"
+    heads = [("number", ""), ("value", "SI"), ("slope", f"{unit} per SI"), ("by 1 %", unit), ("by the tolerance", unit)]
+    rows = [[one.name, one.value, one.slope, one.by_one_percent, one.by_tolerance] for one in found]
+    return [table_of(f"Slopes of the objective ({plan.problem.objective.name}) by numbers of the machine", heads, rows)]
 
 
 def plan_blocks(plan: Plan) -> list[Block]:

@@ -19,7 +19,7 @@ from linkplan.studies.output.draw_plan import drawn_motion, force_plots, time_pl
 from linkplan.studies.output.lead import lead_facts, verdict_sentence
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.phase import phase_plane
-from linkplan.studies.output.plan_blocks import demand_blocks, facts, names_in, proof_blocks, solves
+from linkplan.studies.output.plan_blocks import demand_blocks, facts, names_in, proof_blocks, sensitivity_blocks, solves
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.text import in_brief, notes_of
 
@@ -61,6 +61,7 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
         Section(title="Actuators", blocks=demand_blocks(plan, group), depth=2),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, group)], depth=2),
         *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
+        *([Section(title="Sensitivities", blocks=slopes, depth=2)] if (slopes := sensitivity_blocks(plan)) else []),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
         Section(title="Problem", blocks=[about, *(notes if len(few) < len(notes) else []), *_problem(plan)], depth=2),
     ]
