@@ -15,9 +15,9 @@ written into the compiled model, which is simulated, and symbols stand in its pl
     actuator.gear, armature, damping
     payload.mass, com_x, inertia_x            of the problem's payload
 
-A link's second pin moves along the line from the first; what hangs on it moves along, and the link's mass, centre of mass and
-inertia stay. An element's quantities are named after it; where two elements share a name and a quantity, the name begins with
-the kind: "actuator A.armature".
+A link's second pin moves along the line from the first; what hangs on it moves along, and the link's mass, centre of mass
+and inertia stay. An element's quantities are named after it; where two elements share a name and a quantity, the name begins
+with the kind: "actuator A.armature".
 """
 
 import copy
@@ -220,7 +220,7 @@ def _of_body(model: mujoco.MjModel, body: int) -> Iterator[Parameter]:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Pin:
-    """A pin of a link: its place (3,) [m] in the link's frame, whether it is the link's own joint, and what moves with it."""
+    """A pin of a link: its place (3,) [m] in the link's frame, whether it is its own joint, and what moves with it."""
 
     place: np.ndarray
     own: bool

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
-from linkplan.models.kinematics import tied_points
+from linkplan.models.kinematics import HINGE, tied_points
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
 
@@ -31,6 +32,7 @@ def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
     """Return the specification of a mechanism's model; folders of meshes are absolute, so that a file of it can be moved."""
     source, model = str(mechanism.source["model"]), mechanism.model
     spec = model_spec(source, mechanism.payload, mechanism.selection)
+    _write_parameters(spec, mechanism)
     for equality, solref, solimp in zip(spec.equalities, model.eq_solref, model.eq_solimp, strict=True):
         equality.solref, equality.solimp = solref, solimp
     for closure in mechanism.closures:
@@ -50,6 +52,47 @@ def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     return spec
+
+
+# Fields of a compiled model that parameters set: the elements of a specification with their attribute of that field.
+_ELEMENTS = {
+    "body_mass": ("bodies", "mass"), "body_ipos": ("bodies", "ipos"), "body_inertia": ("bodies", "inertia"),
+    "body_pos": ("bodies", "pos"), "jnt_pos": ("joints", "pos"), "jnt_axis": ("joints", "axis"),
+    "jnt_stiffness": ("joints", "stiffness"), "site_pos": ("sites", "pos"), "eq_data": ("equalities", "data"),
+    "tendon_stiffness": ("tendons", "stiffness"), "tendon_damping": ("tendons", "damping"),
+    "tendon_armature": ("tendons", "armature"), "tendon_frictionloss": ("tendons", "frictionloss"),
+    "actuator_armature": ("actuators", "armature"), "actuator_damping": ("actuators", "damping"),
+    "actuator_gear": ("actuators", "gear"),
+}  # fmt: skip
+# Those of degrees of freedom and of springs' rest positions, whose rows are the joint's.
+_OF_JOINTS = {
+    "dof_armature": "armature", "dof_damping": "damping", "dof_frictionloss": "frictionloss", "qpos_spring": "springref",
+}  # fmt: skip
+
+
+def _write_parameters(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
+    """Write the values of a mechanism's parameters into the specification of its model."""
+    model = mechanism.model
+    for field, (row, *_) in (entry for one in mechanism.parameters for entry in one.entries(one.value)):
+        if field in _OF_JOINTS:
+            rests = field == "qpos_spring"
+            joint = int(np.flatnonzero(model.jnt_qposadr == row)[0] if rests else model.dof_jntid[row])
+            element, attribute = spec.joints[joint], _OF_JOINTS[field]
+        else:
+            kind, attribute = _ELEMENTS[field]
+            element = getattr(spec, kind)[row]
+        value = getattr(model, field)[row]
+        if field == "qpos_spring" and spec.compiler.degree and int(model.jnt_type[joint]) == HINGE:
+            value = np.degrees(value)
+        if field in ("body_mass", "body_ipos", "body_inertia"):
+            body = spec.body(model.body(row).name)
+            body.explicitinertial, body.mass, body.ipos = True, model.body_mass[row], model.body_ipos[row]
+            body.iquat, body.inertia, body.fullinertia = model.body_iquat[row], model.body_inertia[row], [np.nan] * 6
+        elif isinstance(getattr(element, attribute), np.ndarray):
+            values = np.atleast_1d(value)
+            getattr(element, attribute)[: len(values)] = values
+        else:
+            setattr(element, attribute, float(value))
 
 
 @contextlib.contextmanager

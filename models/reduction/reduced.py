@@ -158,7 +158,8 @@ def reduce_tree(
     """Return the reduced dynamics of `tree` under its closures, whose equations phi (n_rows,) have independent `rows`.
 
     `effort_matrix` is B (n_q, n_u), an expression of the tree's q. If the tree has `parameters`, they are the last input of
-    every function, and `values` are those of its model. `projected` loops are closed by the normal equations of all their rows.
+    every function, and `values` are those of its model. `projected` loops are closed by the normal equations of all their
+    rows.
     """
     further = [] if parameters is None else [parameters]
     q, qd, qdd = tree.q, tree.qd, tree.qdd

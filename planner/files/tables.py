@@ -157,6 +157,8 @@ def set_key(tables: Tables, key: str, value: object) -> None:
         child = node.setdefault(part, {})
         if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
             child = node[part] = _payload_table(child)
+        if depth == 1 and path[0] == "parameters" and isinstance(child, int | float):
+            child = node[part] = {"value": child}
         if not isinstance(child, dict):
             raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
         node = child

@@ -108,6 +108,8 @@ def values_of(
         tables["mechanism"] = table_of(mechanism)
         if named := parameters_of(mechanism) | tables.get("parameters", {}):
             tables["parameters"] = named
+            if (values := parameter_values(named)) != parameter_values(parameters_of(mechanism)):
+                mechanism = mechanism.with_parameters(values)
     refuse_unknown_keys(tables)
     if mechanism is None:
         mechanism = _mechanism(tables.setdefault("mechanism", {}), folder, tables.get("parameters", {}))

@@ -35,7 +35,7 @@ MAX_CORNERS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corner:
-    """A machine at a corner of the ranges: factors, frictions (joint, viscous [N.m.s/rad], signed Coulomb [N.m]), parameters.
+    """A machine at a corner of the ranges: factors, and frictions (joint, viscous [N.m.s/rad], signed Coulomb [N.m]).
 
     `named` are values [SI] of the mechanism's parameters by name.
     """

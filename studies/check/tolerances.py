@@ -4,10 +4,10 @@ The independent coordinates s stay where they are, and the loops close with othe
 
     dz/dp = -J_z^-1 dphi/dp,     dy/dp = d_p y + d_z y dz/dp
 
-of each quantity y(q, p). With the tolerances t of the numbers the worst case of y is sum |dy/dp| t, and its standard deviation
-is the root of sum (dy/dp sd)^2: sd is that of a number, or t / sqrt(3), as for errors spread evenly between -t and t. The play
-of a pin is a tolerance of its two coordinates. Near a singular pose no slope says how far the loops move: poses at which the
-tolerances may change a determinant of the closure by more than half of its value are left out.
+of each quantity y(q, p). With the tolerances t of the numbers, the worst case of y is sum |dy/dp| t, and its standard
+deviation is the root of sum (dy/dp sd)^2. A number without an sd has t / sqrt(3), that of errors spread evenly between -t and
+t. The play of a pin is a tolerance of its two coordinates. Near a singular pose no slope says how far the loops move: poses
+at which the tolerances may change a determinant of the closure by more than half of its value are left out.
 """
 
 import fnmatch
@@ -28,7 +28,7 @@ from linkplan.studies.output.document import Axis, Block, Plot, Text, table_of
 from linkplan.studies.output.lines import Line, plots
 
 # Numbers that a table names as causes of an error.
-_CAUSES = 3
+_NAMED_CAUSES = 3
 
 
 class Tolerances(Struct, frozen=True, kw_only=True, eq=False):
@@ -58,7 +58,7 @@ class Tolerances(Struct, frozen=True, kw_only=True, eq=False):
     def causes(self, quantity: str, pose: int) -> list[tuple[str, float]]:
         """Return the numbers that cause most of a quantity's worst case at a pose, with their shares, largest first."""
         parts = np.abs(self.slope[quantity][pose]) * [*self.tolerance.values()]
-        order = np.argsort(-parts, kind="stable")[:_CAUSES]
+        order = np.argsort(-parts, kind="stable")[:_NAMED_CAUSES]
         names = [*self.tolerance]
         return [(names[k], float(parts[k] / parts.sum())) for k in order if parts[k] > 0]
 

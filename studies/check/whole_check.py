@@ -164,7 +164,8 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         """Write the model as it was read, if it differs from the file."""
         del parquet
         mechanism = self.mechanism
-        if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
+        changed = mechanism.selection or mechanism.shifted or "parameters" in mechanism.source
+        if changed or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"
             (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 

@@ -17,15 +17,15 @@ FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><site
     <body name="far" pos="0.05 0 0"><joint name="l" axis="0 1 0" armature="1e-5"/>
       <geom type="capsule" size="0.01" fromto="0 0 0 0.04 0 0"/><site name="s2" pos="0.02 0 0.01"/></body></body></body>
   </worldbody>
-  <tendon><spatial name="t" stiffness="5" damping="0.1" springlength="0.04"><site site="s0"/><site site="s1"/><site site="s2"/>
-  </spatial></tendon>
+  <tendon><spatial name="t" stiffness="5" damping="0.1" springlength="0.04">
+  <site site="s0"/><site site="s1"/><site site="s2"/></spatial></tendon>
   <actuator><motor name="pull" tendon="t" gear="2" ctrlrange="0 20"/><motor name="m" joint="k" ctrlrange="-1 1"/></actuator>
 </mujoco>"""
 TREE_FUNCTIONS = ("mass_matrix", "closure", "effort_matrix", "site_places", "gravity_effort", "velocity_map")
 
 
 def compared(of: Mechanism, other: Mechanism, at: dict[str, float], rng: np.random.Generator) -> None:
-    """Compare a mechanism's symbolic dynamics at values with the dynamics of the mechanism of the model with these values."""
+    """Compare a mechanism's symbolic dynamics at values with the dynamics of the model that has these values."""
     values = ca.DM([at.get(one.name, one.value) for one in of.parameters])
     symbolic = of.parametric_dynamics()
     q, v, a = other.home, *rng.normal(size=(2, of.dof))
@@ -88,8 +88,8 @@ def test_a_slider_crank_s_slopes_are_those_of_the_textbook():
     # x = r cos t + sqrt(l^2 - r^2 sin^2 t): dx/dr = cos t - r sin^2 t / s, dx/dl = l / s, s = sqrt(l^2 - r^2 sin^2 t)
     text = """<mujoco><option gravity="0 0 0"/><worldbody>
       <body name="crank"><joint name="t" axis="0 -1 0"/><geom size="0.01" mass="1"/>
-        <body name="rod" pos="0.1 0 0"><joint name="p" axis="0 -1 0"/><geom size="0.01" mass="1"/><site name="end" pos="0.3 0 0"/>
-        </body></body>
+        <body name="rod" pos="0.1 0 0"><joint name="p" axis="0 -1 0"/><geom size="0.01" mass="1"/>
+        <site name="end" pos="0.3 0 0"/></body></body>
       <body name="piston" pos="0.4 0 0"><joint name="x" type="slide" axis="1 0 0"/><geom size="0.01" mass="1"/>
         <site name="pin"/></body></worldbody>
       <equality><connect site1="end" site2="pin"/></equality>
@@ -98,12 +98,14 @@ def test_a_slider_crank_s_slopes_are_those_of_the_textbook():
     dynamics, p = of.parametric_dynamics(), ca.SX.sym("p", 2)
     q = ca.SX.sym("q", 3)
     slope = ca.Function("slope", [q, p], [ca.jacobian(dynamics.closure(q, p), q), ca.jacobian(dynamics.closure(q, p), p)])
-    r, l = 0.1, 0.3
+    r, rod = 0.1, 0.3
     for t in (0.3, 1.1, 2.5):
-        s = np.sqrt(l**2 - (r * np.sin(t)) ** 2)
-        by_q, by_p = (one.full() for one in slope([t, -t - np.arcsin(r * np.sin(t) / l), r * np.cos(t) + s - 0.4], [r, l]))
+        s = np.sqrt(rod**2 - (r * np.sin(t)) ** 2)
+        by_q, by_p = (
+            one.full() for one in slope([t, -t - np.arcsin(r * np.sin(t) / rod), r * np.cos(t) + s - 0.4], [r, rod])
+        )
         moved = -np.linalg.lstsq(by_q[:, 1:], by_p, rcond=None)[0][1]
-        np.testing.assert_allclose(moved, [np.cos(t) - r * np.sin(t) ** 2 / s, l / s], rtol=1e-12)
+        np.testing.assert_allclose(moved, [np.cos(t) - r * np.sin(t) ** 2 / s, rod / s], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -129,5 +131,5 @@ def test_every_built_in_model_lists_its_numbers():
 
 
 def test_axes_and_unknown_names_say_what_is_legal():
-    with pytest.raises(ModelError, match="did you mean 'crank.mass'"):
+    with pytest.raises(ModelError, match=r"did you mean 'crank\.mass'"):
         load_mechanism("optimus-knee", parameters={"crank.mas": 1.0})
