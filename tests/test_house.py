@@ -19,8 +19,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "payload", "kinematics", "symbolic_model",
-        "foreign", "external_forces", "gearing", "selection", "library", "digest",
+        "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "payload", "kinematics",
+        "symbolic_model", "foreign", "external_forces", "gearing", "selection", "library", "digest",
         "tree", "closure", "reduction", "actuation", "parameters", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),
