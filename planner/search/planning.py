@@ -270,7 +270,7 @@ class Price(Struct, frozen=True, kw_only=True):
     def sentence(self) -> str:
         """Return the price as a sentence."""
         unit = f" {self.unit}" if self.unit else ""
-        dearer = f"{100 * self.share:+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
+        dearer = f"{100 * round(self.share, 9):+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
         return (
             f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the nominal"
             f" machine within its full limits, {dearer}"
