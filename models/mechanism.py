@@ -42,7 +42,7 @@ from linkplan.models.payload import Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
-from linkplan.models.tree.dynamics import build_tree
+from linkplan.models.tree.dynamics import Tree, build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
@@ -316,20 +316,27 @@ def _fingerprint(mechanism: Mechanism, parameters_apart: bool) -> str:
     return digest.hexdigest()
 
 
+def parametric_tree(mechanism: Mechanism, displacement: ca.SX | None = None) -> tuple[Tree, ca.SX]:
+    """Return a mechanism's tree with its parameters and the forces over time as symbols, and these symbols.
+
+    `displacement` is that of `build_tree`.
+    """
+    model, n = mechanism.model, len(mechanism.parameters)
+    sites = () if mechanism.forces is None else [int(model.site(name).id) for name in mechanism.forces.sites]
+    given = ca.SX.sym("parameters", n + 3 * len(sites))
+    pushes = {site: given[n + 3 * k : n + 3 * k + 3] for k, site in enumerate(sites)}
+    varied = with_symbols(model, mechanism.parameters, given[:n]) if n else model
+    return build_tree(varied, home_qpos(model), mechanism.friction_transition, pushes, displacement), given
+
+
 @functools.lru_cache(maxsize=16)
 def _parametric(mechanism: Mechanism) -> ReducedDynamics:
     """Return the dynamics of a mechanism with forces over time, with its parameters and the forces as last input."""
-    assert mechanism.forces is not None
-    model, n = mechanism.model, len(mechanism.parameters)
-    sites = [int(model.site(name).id) for name in mechanism.forces.sites]
-    given = ca.SX.sym("parameters", n + 3 * len(sites))
-    pushes = {site: given[n + 3 * k : n + 3 * k + 3] for k, site in enumerate(sites)}
-    varied = with_symbols(model, mechanism.parameters, given[:n])
-    tree = build_tree(varied, home_qpos(model), mechanism.friction_transition, pushes)
-    B, own = effort_matrix(varied, tree, mechanism.actuators), lengths(varied, tree, mechanism.actuators)
+    tree, given = parametric_tree(mechanism)
+    B, own = effort_matrix(tree.model, tree, mechanism.actuators), lengths(tree.model, tree, mechanism.actuators)
     chosen = mechanism.closure_rows, mechanism.independent, mechanism.dependent
-    values = np.append(mechanism.parameter_values, np.zeros(3 * len(sites)))
-    return reduce_tree(tree, read_closures(varied, tree), B, *chosen, given, values, mechanism.projected, own)
+    values = np.append(mechanism.parameter_values, np.zeros(given.numel() - len(mechanism.parameters)))
+    return reduce_tree(tree, read_closures(tree.model, tree), B, *chosen, given, values, mechanism.projected, own)
 
 
 @functools.lru_cache(maxsize=16)

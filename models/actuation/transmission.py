@@ -156,6 +156,7 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
     for above in path_to(model, common_ancestor(model, body, holder_body)):
         start = int(model.body_dofadr[above])
         keep[[start + k for k in range(int(model.body_dofnum[above]))]] = 0
+        keep[[model.nv + 6 * above + k for k in range(6) if tree.displacement.numel()]] = 0
     return ca.sparsify(column * keep)
 
 

@@ -128,14 +128,14 @@ def _connect(model: mujoco.MjModel, tree: Tree, index: int):
         pins = [tied_points(model, earlier), tied_points(numeric(model), earlier)]
         before, own = (pin if pin[0][0] == ends[0][0] else pin[::-1] for pin in pins)  # in the same order of bodies
         own = np.array([[place for _, place in pin] for pin in (own, tied_points(numeric(model), index))])
-        residual = _second_pin(_places(frames, before), (first, second), own, tree.q)
+        residual = _second_pin(_places(frames, before), (first, second), own, tree)
         if residual is not None:
             yield "point", residual, frame, 1.0, ("m", 1.0)
             return
     yield "point", first - second, frame, 1.0, ("m", 1.0)
 
 
-def _second_pin(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX], places: np.ndarray, q: ca.SX) -> ca.SX | None:
+def _second_pin(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX], places: np.ndarray, tree: Tree) -> ca.SX | None:
     """Return phi_2 (3,) [m] of a second pin between the same two bodies, or None if the pin's own residual serves.
 
     Two connects between two bodies form a hinge. Let d be the vector from pin to pin in one body, d_0 in the other, and R
@@ -156,22 +156,23 @@ def _second_pin(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX], places:
             their common carrier.
         second: the positions of the second pin's ends, with the bodies in the same order.
         places: the positions of both pins in both bodies' own frames (2 pins, 2 bodies, 3) [m].
-        q: the coordinates (n_q,).
+        tree: of the bodies.
     """
     long = np.linalg.norm(places[1] - places[0], axis=-1)
     if min(long) == 0 or abs(long[0] - long[1]) > 1e-10 * max(long):
         return None  # the two pins cannot both close, and all rows are needed
     ways = [later - earlier for earlier, later in zip(first, second, strict=True)]
-    still = [way for way in ways if not ca.depends_on(way, q)]
+    still = [way for way in ways if not ca.depends_on(way, tree.q)]
     if len(still) != 1:
         return None
-    delta = ways[0] - ways[1]
-    pose = np.random.default_rng(0).uniform(-1.0, 1.0, q.numel())
-    others = [one for one in ca.symvar(delta) if not ca.depends_on(q, one)]
-    at_random = ca.Function("delta", [q, *others], [delta])(pose, *range(1, len(others) + 1))
+    delta, still_zero = ways[0] - ways[1], ca.SX.zeros(tree.displacement.numel())
+    off, fixed = ca.substitute([delta, still[0]], [tree.displacement], [still_zero])
+    pose = np.random.default_rng(0).uniform(-1.0, 1.0, tree.q.numel())
+    others = [one for one in ca.symvar(off) if not ca.depends_on(tree.q, one)]
+    at_random = ca.Function("delta", [tree.q, *others], [off])(pose, *range(1, len(others) + 1))
     if np.abs(np.array(at_random)).max() <= ROUNDING_SHARE * max(long):
         return None  # delta is zero at every pose
-    e = still[0] / ca.norm_2(still[0]) if ca.symvar(still[0]) else ca.evalf(still[0]) / max(long)
+    e = fixed / ca.norm_2(fixed) if ca.symvar(fixed) else ca.evalf(fixed) / max(long)
     return first[0] - first[1] + (ca.DM.eye(3) - e @ e.T) @ delta
 
 

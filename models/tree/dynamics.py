@@ -81,6 +81,8 @@ class Tree:
     potential_energy: ca.SX
     velocity_matrix: ca.SX  # T (n_q, n_q), MuJoCo's qvel = T q'
     tendon_lengths: tuple[ca.SX | None, ...]
+    displacement: ca.SX  # symbols (6 nbody,) of small displacements of all bodies; empty by default
+    reaction: ca.SX  # `inverse_dynamics` less passive forces and friction, along the displacement
 
     def site(self, site: int) -> ca.SX:
         """Return the world position (3,) [m] of a site by its index."""
@@ -100,7 +102,7 @@ def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
         return tree.frames[body]
     frame, path = _fixed_frame(), path_to(tree.model, body)
     for link in path[path.index(ancestor) + 1 :]:
-        frame = _child_frame(tree.model, tree.coordinates, link, frame, tree.q)
+        frame = _displaced(_child_frame(tree.model, tree.coordinates, link, frame, tree.q), tree.displacement, link)
     return frame
 
 
@@ -109,6 +111,7 @@ def build_tree(
     reference: np.ndarray | None = None,
     transition: float = TRANSITION,
     forces: Mapping[int, ca.SX] | None = None,
+    displacement: ca.SX | None = None,
 ) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
@@ -116,8 +119,11 @@ def build_tree(
     ball and free joints are centred at `reference` (nq,), a qpos (default `qpos0`). The
     numbers of a `SymbolicModel` stay symbols. `transition` is the transition speed of dry friction (`models.tree.friction`).
     `forces` are further forces (3,) [N] in the world on sites by index; they are passive, and without potential energy.
+    With symbols `displacement` (6 nbody,) every body, the world too, moves against its parent by a small translation and
+    rotation along its own axes, beside its joints. Frames and lengths depend on them, so that forces along them follow like
+    those along q.
     """
-    n_q = model.nv
+    n_q, moved = model.nv, ca.SX(0, 1) if displacement is None else displacement
     coordinates = read_coordinates(numeric(model), model.qpos0 if reference is None else reference)
     q, qd, qdd = (ca.SX.sym(name, n_q) for name in ("q", "qd", "qdd"))
     T = coordinates.velocity_matrix(q)
@@ -125,34 +131,39 @@ def build_tree(
     if not coordinates.trivial:
         velocity = T @ qd
         acceleration = T @ qdd + ca.jtimes(velocity, q, qd)
-    frames = [_fixed_frame()]
+    frames = [_displaced(_fixed_frame(), moved, 0)]
     for body in range(1, model.nbody):
         parent = frames[model.body_parentid[body]]
-        frames.append(_child_frame(model, coordinates, body, parent, q))
+        frames.append(_displaced(_child_frame(model, coordinates, body, parent, q), moved, body))
+    still = ca.SX.zeros(moved.numel())
+    x, rates, turning = ca.vertcat(q, moved), ca.vertcat(qd, still), ca.diagcat(T, ca.SX.eye(moved.numel()))
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
     gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau = newton_euler(model, coordinates, q, velocity, acceleration, gravity)
+    tau, loads = newton_euler(model, coordinates, q, velocity, acceleration, gravity)
     potential = _potential(model, frames, gravity)
     armature = joint_armature(model)
     weight = ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q))
     tau = tau + armature * acceleration
     if not coordinates.trivial:
         tau, weight = T.T @ tau, T.T @ weight
+    tau = ca.vertcat(tau, loads[: moved.numel()])
     for inertia, length in tendon_inertias(model, lengths, q):
-        arm = ca.jacobian(length, q)
-        tau = tau + inertia * arm.T * (arm @ qdd + ca.jtimes(arm @ qd, q, qd))
+        arm = ca.jacobian(length, x)
+        tau = tau + inertia * arm.T * (arm[:, :n_q] @ qdd + ca.jtimes(arm[:, :n_q] @ qd, q, qd))
     joint_force, spring_energy = joint_passive(model, q, velocity)
     if not coordinates.trivial:
         joint_force = T.T @ joint_force
-    tendon_force, tendon_energy = tendon_passive(model, lengths, q, qd)
-    gas_force, gas_energy = gas_springs(model, frames, lengths, q, qd)
+    tendon_force, tendon_energy = tendon_passive(model, lengths, x, rates)
+    gas_force, gas_energy = gas_springs(model, frames, lengths, x, rates)
     compensation_energy = _compensation_energy(model, frames, gravity)
-    compensation = -ca.jacobian(compensation_energy, q).T
-    mass_matrix = ca.jacobian(tau, qdd)
-    applied = ca.SX.zeros(n_q)
+    compensation = -ca.jacobian(compensation_energy, x).T
+    passive = ca.vertcat(joint_force, still) + tendon_force + gas_force + compensation
     for site, force in (forces or {}).items():
-        applied += ca.jacobian(site_point(model, frames, site), q).T @ force
+        passive += ca.jacobian(site_point(model, frames, site), x).T @ force
+    friction = dry_friction(model, lengths, x, rates, ca.vertcat(velocity, still), turning, transition, extent_m(numeric(model)))
+    tau, reaction = tau[:n_q], (tau - passive - friction)[n_q:]
+    mass_matrix = ca.jacobian(tau, qdd)
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -163,18 +174,32 @@ def build_tree(
         inverse_dynamics=tau,
         mass_matrix=mass_matrix,
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
-        gravity=weight - compensation,
-        passive=joint_force + tendon_force + gas_force + compensation + applied,
-        friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(numeric(model))),
+        gravity=weight - compensation[:n_q],
+        passive=passive[:n_q],
+        friction=friction[:n_q],
         kinetic_energy=0.5 * ca.dot(qd, mass_matrix @ qd),
         potential_energy=potential + spring_energy + tendon_energy + gas_energy + compensation_energy,
         velocity_matrix=T,
         tendon_lengths=lengths,
+        displacement=moved,
+        reaction=reaction,
     )
 
 
 def _fixed_frame() -> Frame:
     return Frame(p_world_B=ca.SX.zeros(3), R_world_B=ca.SX.eye(3), quaternion=ca.SX([1, 0, 0, 0]))
+
+
+def _displaced(frame: Frame, displacement: ca.SX, body: int) -> Frame:
+    """Return a body's frame after its small translation and rotation in `displacement`, exact to first order."""
+    if not displacement.numel():
+        return frame
+    way, turn = ca.vertsplit(displacement[6 * body : 6 * body + 6], 3)
+    return Frame(
+        p_world_B=frame.point(way),
+        R_world_B=frame.R_world_B + frame.R_world_B @ ca.skew(turn),
+        quaternion=product(frame.quaternion, ca.vertcat(1, turn / 2)),
+    )
 
 
 def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, parent: Frame, q: ca.SX) -> Frame:

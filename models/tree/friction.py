@@ -126,7 +126,7 @@ def dry_friction(
         transition: v_0 [rad/s on a hinge; extents per second on a slide or tendon].
         extent_m: the model's size [m].
     """
-    force, at_joints = ca.SX.zeros(model.nv), ca.SX.zeros(model.nv)
+    force, at_joints = ca.SX.zeros(q.numel()), ca.SX.zeros(q.numel())
     for one in frictions_of(model):
         slowest = transition * (1.0 if one.turns else extent_m)
         if one.dof is not None:

@@ -68,10 +68,11 @@ def newton_euler(
     velocity: ca.SX,
     acceleration: ca.SX,
     gravity: ca.DM,
-) -> ca.SX:
-    """Return the generalised forces (nv,) that a motion requires, gravity included.
+) -> tuple[ca.SX, ca.SX]:
+    """Return the generalised forces (nv,) that a motion requires, gravity included, and the loads (6 nbody,) of all bodies.
 
-    `velocity` is MuJoCo's qvel and `acceleration` its derivative, both expressions. Armature is not included.
+    `velocity` is MuJoCo's qvel and `acceleration` its derivative, both expressions. Armature is not included. A body's load
+    is the force and the moment about its origin, in its own axes, that it and all that it carries require.
     """
     zero = ca.SX.zeros(3)
     motions = [FrameMotion(w=zero, alpha=zero, acceleration=ca.SX(-gravity))]
@@ -97,7 +98,7 @@ def newton_euler(
             for dof, effort in taken.items():
                 tau[dof] = effort
         force[parent], moment[parent] = force[parent] + f, moment[parent] + n
-    return tau
+    return tau, ca.vertcat(*(part for pair in zip(force, moment, strict=True) for part in pair))
 
 
 def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:

@@ -124,7 +124,7 @@ def gas_springs(model: mujoco.MjModel, frames: Sequence[Any], lengths: Sequence,
     force, the energy is -(b0 l1 + b1 l1^2 / 2 + F (l - l1)). That of a constant force on a site at p is -F . p. `frames` are
     the bodies', of `models.tree.dynamics`.
     """
-    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
+    force, energy = ca.SX.zeros(q.numel()), ca.SX(0)
     on_tendons = [(a, gear * lengths[t]) for t, gear, a in _tendon_actuators(model) if lengths[t] is not None]
     on_joints = [(a, gear * q[dof]) for dof, gear, a in _joint_actuators(model)]
     for actuator, length in (*on_tendons, *on_joints):
@@ -192,7 +192,7 @@ def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple
 
     A tendon's spring is slack between its two rest lengths. The force laws are those of `joint_passive`.
     """
-    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
+    force, energy = ca.SX.zeros(q.numel()), ca.SX(0)
     springs = not disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
     dampers = not disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
     for tendon, length in enumerate(lengths):

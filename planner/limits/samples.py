@@ -10,6 +10,7 @@ from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.joint_forces import JointForces, joint_forces
 from linkplan.planner.problem.instant import corner_demands_along, corner_efforts_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -186,6 +187,11 @@ class Samples(Poses):
     def closure_forces(self) -> np.ndarray:
         """The size (n, n_closures) [N] of every closure's force."""
         return closure_forces(self.problem, self.q, self.v, self.a, self.u, *self.forces)
+
+    @cached_property
+    def joint_forces(self) -> JointForces:
+        """The forces and moments in all closures and pins of the tree, and on the frame."""
+        return joint_forces(self.problem.mechanism, self.q, self.v, self.a, self.u, *self.forces)
 
     @cached_property
     def corner_efforts(self) -> np.ndarray:

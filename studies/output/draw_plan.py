@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, jerks, sampled, site_motion
 from linkplan.models.poses.assembly import follow
@@ -18,7 +17,6 @@ from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.pin_forces import pin_forces
 
 # A position [rad or m], speed [per second] or effort [N.m or N] that is never larger is zero: it consists of rounding
 # errors.
@@ -116,22 +114,27 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
 
 
 def force_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> list[Plot]:
-    """Return the plots of the forces in every pin: in cut pins (closures) and in the pins of the tree."""
-    mechanism, limits = plan.problem.mechanism, plan.problem.limits.closure_force
-    cut = [
-        Line(name=name, values=motion.closure_forces[:, c], unit="N", limits=(-np.inf, float(limits[c])))
-        for c, name in enumerate(mechanism.closure_names)
+    """Return the plots of the forces and moments in all pins (of closures and of the tree) and on the frame."""
+    mechanism, limits, at = plan.problem.mechanism, plan.problem.limits, motion.joint_forces
+    most = dict(zip(mechanism.closure_names, limits.closure_force.tolist(), strict=True)) | dict(limits.pin_force)
+    forces = [
+        Line(name=name, values=of, unit="N", limits=(-np.inf, most.get(name, np.inf))) for name, of in at.force.items()
     ]
-    title = "Force in the pins"
-    try:
-        loads = pin_forces(mechanism, motion.q, motion.v, motion.a, motion.u, *motion.forces)
-    except ModelError:  # the model's file is no longer there
-        title, loads = "Force in the cut pins, without the model's file", {}
-    lines = [*cut, *(Line(name=name, values=force, unit="N") for name, force in loads.items())]
-    applied = plots(
-        "Forces over time on sites", "force", TIME, motion.time, _applied(mechanism, motion), group=group, period=period
+    moments = [Line(name=name, values=of, unit="N.m") for name, of in at.moment.items()]
+    shaking = [Line(name=axis, values=at.on_frame[:, k], unit="N") for k, axis in enumerate(AXES)]
+    turning = [Line(name=axis, values=at.on_frame[:, 3 + k], unit="N.m") for k, axis in enumerate(AXES)]
+    drawn = (
+        ("Force in the pins", "force", forces),
+        ("Moment in the pins across their axes", "moment", moments),
+        ("Force on the frame", "force", [line for line in shaking if np.any(line.values)]),
+        ("Moment on the frame about the world's origin", "moment", [line for line in turning if np.any(line.values)]),
+        ("Forces over time on sites", "force", _applied(mechanism, motion)),
     )
-    return [*plots(title, "force", TIME, motion.time, lines, group=group, period=period), *applied]
+    return [
+        plot
+        for title, what, lines in drawn
+        for plot in plots(title, what, TIME, motion.time, lines, group=group, period=period)
+    ]
 
 
 def _applied(mechanism: Mechanism, motion: Samples) -> list[Line]:

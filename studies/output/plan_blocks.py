@@ -4,13 +4,13 @@ Figures are printed with their known digits.
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-from linkplan.models.errors import AssemblyError, ModelError
+from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
 from linkplan.planner.limits.kinds import affine_limits, all_effort_bounds, effort_bounds, limits_of
@@ -23,7 +23,6 @@ from linkplan.planner.search.sensitivities import sensitivities_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Axis, Block, Facts, NumberText, Plane, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
-from linkplan.studies.output.pin_forces import pin_forces
 from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
 
 # Solvers stop at a relative error of 1e-8. A certificate passes if the relative error is at most about 1e-3.
@@ -253,12 +252,10 @@ def _left_free(plan: Plan) -> list[tuple[str, str]]:
         joints = problem.mechanism.independent_joints
         joint, speed = max(zip(joints, speeds, strict=True), key=lambda one: (one[0].kind == "hinge", one[1]))
         said.append(f"{joint.name} moves at up to {joint.shown(speed):.4g} {joint.unit}/s, no speed limit is set")
-    if "closure_force" not in keys:
-        forces: dict[str, np.ndarray] = {}
-        with contextlib.suppress(AssemblyError, ModelError):  # the loops are open, or the model's file is no longer there
-            at = samples_of(problem, motion)
-            forces |= dict(zip(problem.mechanism.closure_names, at.closure_forces.T, strict=True))
-            forces |= pin_forces(problem.mechanism, at.q, at.v, at.a, at.u, *at.forces)
+    if not keys & {"closure_force", "pin_force"}:
+        forces: Mapping[str, np.ndarray] = {}
+        with contextlib.suppress(AssemblyError):  # the loops are open
+            forces = samples_of(problem, motion).joint_forces.force
         name = max(forces, key=lambda one: float(forces[one].max()), default="")
         said += [f"pin {name} carries up to {forces[name].max():.4g} N, no limit on pin forces is set"] if name else []
     return [("left free", "; ".join(said))] if said else []

@@ -12,6 +12,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.joint_forces import joint_forces
 from linkplan.models.selection import Selection
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.samples import closure_forces, samples_of
@@ -22,7 +23,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.replan import Replanner
-from linkplan.studies.output.pin_forces import pin_forces
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_refused
 from tests.support.steering import ARM, FORCE, STEERING, K, P, rack_force, tyre_of
@@ -116,7 +116,7 @@ def test_pin_forces_at_rest_balance_the_force_of_their_instant():
     forces = mechanism.forces_at(time)
     effort, _ = needed_effort(mechanism, poses, still, still, time)
     found = closure_forces(problem, poses, still, still, effort, *forces)[:, 0]
-    knuckle = pin_forces(mechanism, poses, still, still, effort, *forces)["knuckle"]
+    knuckle = joint_forces(mechanism, poses, still, still, effort, *forces).force["knuckle"]
     tyre, turn = tyre_of(0.02), float(poses[0, mechanism.joint_index("knuckle")])
     end = K + np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ ARM
     along = end - P - np.array([0.0, 0.02])

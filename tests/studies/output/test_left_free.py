@@ -2,9 +2,9 @@
 
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.output.pin_forces import pin_forces
 from linkplan.studies.output.plan_blocks import facts
 from tests.support.plans import planned
+from tests.support.virtual_cuts import virtual_cuts
 
 
 def row(name: str, *settings: str) -> str | None:
@@ -15,7 +15,7 @@ def test_a_least_time_names_its_peak_speed_and_its_most_loaded_pin_without_limit
     said = row("knee-sprint")
     plan = planned("knee-sprint")
     at = samples_of(plan.problem, plan.trajectory)
-    pins = pin_forces(plan.problem.mechanism, at.q, at.v, at.a, at.u)
+    pins = virtual_cuts(plan.problem.mechanism, at.q, at.v, at.a, at.u)
     assert pins["O"].max() > 100 * at.closure_forces.max()  # the crank carries the payload
     assert said == (
         "O moves at up to 1715 deg/s, no speed limit is set;"

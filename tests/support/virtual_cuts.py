@@ -1,7 +1,7 @@
-"""The force in every pin of a mechanism along a motion, which each jointed body and its parent exert on each other.
+"""The force or moment in every pin of a mechanism along a motion by virtual cuts in MuJoCo, independent of the product's.
 
-In a copy of the model every such body gets three slides that never move. The efforts on these slides by inverse dynamics are
-the force through the body's joints, including that of closures, tendons and actuators at sites.
+In a copy of the model every jointed body gets three slides (for moments, three hinges) that never move. The efforts on them
+by inverse dynamics are the force or moment through the body's joints, including that of closures, tendons and actuators.
 """
 
 from collections.abc import Sequence
@@ -14,20 +14,26 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
 from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.selected_model import whole_spec
-from linkplan.models.tree.coordinates import SLIDE, joint_label
+from linkplan.models.tree.coordinates import BALL, HINGE, SLIDE, joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 
 # The step [s] of the central difference for the accelerations of ball joints, for which MuJoCo uses other coordinates.
 _DIFFERENCE_STEP_S = 1e-6
 
 
-def pin_forces(
-    mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray, *forces: np.ndarray
+def virtual_cuts(
+    mechanism: Mechanism,
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    u: np.ndarray,
+    *forces: np.ndarray,
+    kind: mujoco.mjtJoint = SLIDE,
 ) -> dict[str, np.ndarray]:
-    """Return the magnitude (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
+    """Return the size (n,) of the force [N] or moment [N.m] in the pins of the tree, by the names of the joints of a pin.
 
-    The force along the axis of a slide does not load its guide and is omitted. The closure forces of overconstrained loops
-    are those of least norm. A body with more than three degrees of freedom of its own, such as a free base, has no pin.
+    Forces along slides and moments about hinges, which do not load a pin, are omitted. The moment is about the joint's
+    anchor. Bodies with more than three degrees of freedom of their own are left out.
 
     Args:
         mechanism: the mechanism.
@@ -36,8 +42,9 @@ def pin_forces(
         a: accelerations (n, n_s) of the independent joints.
         u: efforts (n, n_u) of the actuators.
         forces: those of `Mechanism.forces_at`; without them, forces over time are omitted.
+        kind: of the joints added to every body: slides for forces, hinges for moments.
     """
-    model, pins = _with_slides(mechanism)
+    model, pins = _with_joints(mechanism, kind)
     first = np.array([model.body_dofadr[body] + model.body_dofnum[body] - 3 for body in pins], dtype=int)
     added = first[:, None] + np.arange(3)
     kept = np.setdiff1d(np.arange(model.nv), added)
@@ -66,24 +73,26 @@ def pin_forces(
     left = required - np.einsum("nrk,nr->nk", loops, multipliers) - np.einsum("nuk,nu->nk", moments[:, outputs], u)
     force = np.einsum("npij,npj->pni", turns.reshape(len(q), len(pins), 3, 3), left[:, added])
     return {
-        name: np.linalg.norm(_across_slides(model, body, axes, force[pin]), axis=1)
+        name: np.linalg.norm(_across(model, body, axes, force[pin], kind), axis=1)
         for pin, (body, name) in enumerate(pins.items())
     }
 
 
-def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
-    """Return the model with three slides at the end of every jointed body, and the names of its pins by body."""
+def _with_joints(mechanism: Mechanism, kind: mujoco.mjtJoint) -> tuple[mujoco.MjModel, dict[int, str]]:
+    """Return the model with three joints at the end of every jointed body, and the names of its pins by body."""
     names: dict[int, list[str]] = {}
     for joint, body in enumerate(mechanism.model.jnt_bodyid.tolist()):
-        if mechanism.model.body_dofnum[body] <= 3:  # MuJoCo allows at most six joints per body, and three are added
+        ball = kind == HINGE and int(mechanism.model.jnt_type[joint]) == BALL  # which no hinge may follow
+        if mechanism.model.body_dofnum[body] <= 3 and not ball:  # MuJoCo allows at most six degrees of freedom per body
             names.setdefault(body, []).append(joint_label(mechanism.model, joint))
     spec = whole_spec(mechanism)
     for key in list(spec.keys):  # keyframes, whose qpos would be too short
         spec.delete(key)
     bodies = list(spec.bodies)
     for body in names:
+        last = int(mechanism.model.body_jntadr[body] + mechanism.model.body_jntnum[body] - 1)
         for axis in np.eye(3):
-            slide = bodies[body].add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, limited=False)
+            slide = bodies[body].add_joint(type=kind, axis=axis, pos=mechanism.model.jnt_pos[last], limited=False)
             # Armature [kg] has no effect without acceleration; without it a second slide along an axis has no inertia.
             slide.armature, slide.frictionloss = 1.0, 0.0
             slide.stiffness, slide.damping = np.zeros(3), np.zeros(3)
@@ -119,9 +128,8 @@ def _terms(
     return required + data.qfrc_bias - springs, equality_jacobian(model, data), moments
 
 
-def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return forces (n, 3) without components along the body's own slides; `axes` (n, n_joints, 3) are in the world."""
+def _across(model: mujoco.MjModel, body: int, axes: np.ndarray, load: np.ndarray, kind: mujoco.mjtJoint) -> np.ndarray:
+    """Return loads (n, 3) without components along own joints of a kind; `axes` (n, n_joints, 3) are in the world."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body] - 3)
-    slides = [joint for joint in joints if int(model.jnt_type[joint]) == SLIDE]
-    along = axes[:, slides].transpose(0, 2, 1)
-    return force - np.einsum("nij,nj->ni", along @ np.linalg.pinv(along, rcond=RANK_TOLERANCE), force)
+    along = axes[:, [joint for joint in joints if int(model.jnt_type[joint]) == kind]].transpose(0, 2, 1)
+    return load - np.einsum("nij,nj->ni", along @ np.linalg.pinv(along, rcond=RANK_TOLERANCE), load)
