@@ -214,9 +214,10 @@ class _Way:
         stalled.direction = roomy.direction = -1.0
         first, v_first, taken = (begin, v, 0.0) if held is not None else self._launched(begin, v, towards=towards)
         until = 1e9 * self.span / self.fastest  # longer than any leg lasts
+        atol, method = _INTEGRATION_ATOL * np.array([self.span, self.fastest]), "BDF" if taken else "LSODA"
         found = scipy.integrate.solve_ivp(
-            rates, (taken, until if towards else -until), [first, v_first], method="LSODA", events=events,
-            dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([self.span, self.fastest]),
+            rates, (taken, until if towards else -until), [first, v_first], method=method, events=events,
+            dense_output=True, rtol=_INTEGRATION_RTOL, atol=atol,
         )  # fmt: skip
 
         def state(t: Any) -> np.ndarray:
@@ -230,7 +231,8 @@ class _Way:
         """Return place, speed and time at which the integration of a leg begins, after one short implicit Euler step.
 
         The step leaves the velocity curve where one effort alone satisfies all limits. There the leg's acceleration may be
-        0 / 0, or its slope infinite. Legs in both directions are stable, so the step's error decreases along them.
+        0 / 0, or its slope infinite. Legs in both directions are stable, so the step's error decreases along them. They stay
+        so close below the curve that they are stiff, and LSODA's steps do not grow again at this tolerance.
         """
         import scipy
 
@@ -292,7 +294,9 @@ class _Way:
         s, v = leg.state(t)
         # A leg may touch the velocity curve without crossing it.
         share = 1.0 if self.field.affine is None else 1.0 - 0.25 * _SAME_SPEED
-        above = (way * v > share * top(s)) & (np.abs(s - s[0]) > self.beside)
+        most = top(s)
+        leaving = np.cumprod(np.abs(way * v - most) < _SAME_SPEED * most)  # a leg that begins on the curve leaves it slowly
+        above = (way * v > share * most) & (np.abs(s - s[0]) > self.beside) & (leaving == 0)
         if not above.any():
             return None
 
