@@ -1,14 +1,9 @@
-"""Limits on the pose: positions and speeds of joints, ranges of balls and tendons, pin forces, singular poses.
+"""Limits on the pose: positions and speeds of joints, ranges of balls and tendons, singular poses.
 
 Positions and speeds of independent joints are polynomials of the program, with bounded coefficients at every instant.
 Dependent positions are unknowns at nodes, and dependent speeds are rows at nodes. The row of a ball joint of angle alpha is
 sin^2(alpha / 2), as a share of its value at the largest angle. The row of a tendon is its length in units of its range's
-width.
-
-Limits on pin forces are rows at nodes, or rows on the Bernstein coefficients of the force's square, which hold at every
-instant. With rows at nodes alone, efforts that jump can exceed the limit between nodes, as for powers. For limits at every
-instant the force is an algebraic unknown, a polynomial through the nodes, whose error between nodes decreases with the
-interval's width. The distance from singular poses is the determinant of each block of J_z, relative to home.
+width. The distance from singular poses is the determinant of each block of J_z, relative to home.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_rates, sampled
+from linkplan.models.poses.along import joint_rates
 from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
@@ -33,7 +28,6 @@ from linkplan.planner.limits.limit import (
     WhichJoints,
     limited_joints,
     limited_rows,
-    squared_claim,
     with_limits,
 )
 from linkplan.planner.limits.samples import Poses, Samples
@@ -43,76 +37,6 @@ from linkplan.planner.trajectory import Trajectory
 
 # Largest allowed overrun of ranges [rad or m] and speeds [rad/s or m/s], due to the rounding of degrees.
 RANGE_SLACK = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class ClosureForceLimit(Limit):
-    """The force of one closure, as a share of its rating; `places` are its indices among all forces if it is an unknown."""
-
-    key: ClassVar[str] = "closure_force"
-    facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key,
-        words="the closure force of {}",
-        tightened=Tightened.SQUARED,
-        enclosable=True,
-        jumps_with_effort=True,
-        followed_with=1,
-    )
-    item: int
-    places: tuple[int, ...] = ()
-
-    @classmethod
-    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
-        limited = problem.limits.limited_closures
-        places = {c: problem.mechanism.closure_slice(c) for c in limited}
-        return [cls(c, tuple(range(places[c].start, places[c].stop)) if enclosed else ()) for c in limited]
-
-    @property
-    def rows(self) -> Rows:
-        def rating(problem: Problem) -> float:
-            return problem.limits.closure_force[self.item]
-
-        def node(at: Instant, numbers: ca.SX) -> ca.SX:
-            return ca.sumsqr(at.closure_force[at.mechanism.closure_slice(self.item)]) * numbers
-
-        def unknowns(at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
-            return "bearing", ca.vertsplit(at.closure_force[list(self.places)] / numbers)
-
-        if not self.places:
-            return Rows(node=node, n_numbers=1, numbers=lambda problem: (1.0 / np.square(rating(problem)),))
-        return Rows(
-            n_numbers=1,
-            numbers=lambda problem: (rating(problem),),
-            interval=lambda own: ("squared_sums", (self.key, own)),
-            n_unknowns=len(self.places),
-            unknowns=unknowns,
-        )
-
-    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return -np.inf, 1.0
-
-    def measured(self, at: Samples) -> Measured:
-        problem, c = at.problem, self.item
-        bounds = (-np.inf, problem.limits.closure_force[c])
-        return Measured(problem.mechanism.closure_names[c], at.closure_forces[:, c], bounds, "N")
-
-    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        mechanism = problem.mechanism
-        own, rating = mechanism.closure_slice(self.item), float(problem.limits.closure_force[self.item])
-
-        def squared(at: Any) -> Any:
-            return sum((x * x for x in at.closure_forces[own]), 0 * at.state.q[0])
-
-        yield squared_claim(f"closure force of {mechanism.closure_names[self.item]}", "N2", rating, squared)
-
-    def affine(self, problem: Problem) -> Affine | None:
-        mechanism, rating = problem.mechanism, float(problem.limits.closure_force[self.item])
-        own, force = mechanism.closure_slice(self.item), mechanism.dynamics.closure_force
-        return Affine(lambda q, v, a, u: sampled(force, q, v, a, u)[:, own, 0], (-np.inf, rating))
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, closure_force=problem.limits.closure_force * factor)
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,8 @@ _ORDER = (
         "site_speed",
         "power",
     ),
-    *("closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "ball", "site", "path", "body"),
+    *("closure_force", "pin_force", "motor", "control", "effort_rate", "singular_margin"),
+    *("tendon", "ball", "site", "path", "body"),
 )
 
 

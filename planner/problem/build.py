@@ -45,7 +45,7 @@ from linkplan.planner.problem.keys.sections import (
     ProblemFile,
     TrackingSection,
 )
-from linkplan.planner.problem.limits import actuator_index, closure_index, limits_from, motors_of
+from linkplan.planner.problem.limits import actuator_index, closure_index, limits_from, motors_of, pin_or_closure
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import path_rows, site_path_of
@@ -229,6 +229,8 @@ def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str)
         body_index(mechanism.model, name, where, ProblemError)
     elif noun == "closure":
         closure_index(mechanism, name)
+    elif noun == "pin":
+        pin_or_closure(mechanism, name)
     else:
         actuator_index(mechanism, name, where)
 

@@ -25,6 +25,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.parameters import is_payload_s_weight
 from linkplan.models.poses.along import is_redundant, joint_acceleration, joint_jerk, sampled, site_derivative
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.joint_forces import joint_loads
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.keys.limits import RobustSection
@@ -336,6 +337,12 @@ class Instant:
         if self.multipliers is None:
             return self.call("closure_force", self.q, self.v, self.a, self.u)
         return self.of_pose("force_map") @ self.multipliers
+
+    @cached_property
+    def joint_loads(self) -> ca.SX:
+        """The loads (6, 1 + n_pins) [N, N.m] on the frame and in the pins of the tree, by the function `joint_loads`."""
+        motion = self.q, self.joint_rates, self.joint_accelerations
+        return joint_loads(self.mechanism)(*motion, self.closure_force, self.u, ca.vertcat(self.payload, self.forces))
 
     @cached_property
     def positive_powers(self) -> ca.SX:

@@ -8,6 +8,8 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.joint_forces import Pin, pins_of
+from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.keys.limits import LIMIT_KEYS, LimitValues, Motor
 from linkplan.planner.problem.keys.section import Section
@@ -36,9 +38,10 @@ class Limits(LimitValues):
     `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `initial_effort` (n_u, 2), before the start;
     `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,) [N], the largest force of each
-    closure; `singular_margin`, the least |det J_z| relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s
-    [rad]; `site_speed`, `site_acceleration` and `site_jerk`, the largest by site [m/s, m/s2, m/s3].
-    `effort` is the limit for plans, that of the actuators reduced by `reserve` (see `within_reserve`).
+    closure; `pin_force` [N], that of pins of the tree by their names; `singular_margin`, the least |det J_z| relative to
+    home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s [rad]; `site_speed`, `site_acceleration` and `site_jerk`,
+    the largest by site [m/s, m/s2, m/s3]. `effort` is the limit for plans, that of the actuators reduced by `reserve` (see
+    `within_reserve`).
     """
 
     def __post_init__(self) -> None:
@@ -147,6 +150,25 @@ def _of_closures(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
     largest = np.full(len(mechanism.closure_names), np.inf)
     for name, value in getattr(section, key).items():
         largest[closure_index(mechanism, name)] = value
+    for name, value in section.pin_force.items():
+        if isinstance(at := pin_or_closure(mechanism, name), int):
+            if np.isfinite(largest[at]):
+                raise ProblemError(
+                    f"limits.pin_force.{name} and limits.closure_force.{name} limit one force: keep one of them"
+                )
+            largest[at] = value
+    return largest
+
+
+def _of_pins(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
+    """Return the largest forces in pins of the tree by the pin's name."""
+    largest: dict[str, float] = {}
+    for name, value in getattr(section, key).items():
+        at = pin_or_closure(mechanism, name)
+        if isinstance(at, Pin):
+            if at.name in largest:
+                raise ProblemError(f"limits.{key} names joints {at.name}, which share one force, twice: keep one of them")
+            largest[at.name] = value
     return largest
 
 
@@ -169,6 +191,7 @@ _MADE_BY: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "actuator": _of_actuators,
     "joint": _of_joints,
     "closure": _of_closures,
+    "pin": _of_pins,
     "site": _of_sites,
     "": lambda section, key, _: getattr(section, key),
 }
@@ -192,8 +215,31 @@ def closure_index(mechanism: Mechanism, name: str) -> int:
     """
     names = mechanism.closure_names
     if not names:
-        raise ProblemError(f"limits.closure_force.{name}: mechanism '{mechanism.name}' has no closure")
-    return names.index(choose("closure in limits.closure_force", name, names, ProblemError))
+        raise ProblemError(
+            f"limits.closure_force.{name}: mechanism '{mechanism.name}' has no closure; limits.pin_force limits joints"
+        )
+    return names.index(choose("closure in limits.closure_force (joints: limits.pin_force)", name, names, ProblemError))
+
+
+def pin_or_closure(mechanism: Mechanism, name: str) -> Pin | int:
+    """Return the pin of a joint named in limits.pin_force, or the index of the closure of that name.
+
+    Raises:
+        ProblemError: for a name that is unknown, or that both a joint and a closure have.
+    """
+    pins, closures = pins_of(mechanism), mechanism.closure_names
+    of = {joint: pin for pin in pins for joint in pin.joints}
+    if name in of and name in closures:
+        raise ProblemError(
+            f"limits.pin_force.{name} is the name of a joint and of a closure: limits.pin_force.'{of[name].name}' limits the"
+            f" joint, limits.closure_force.{name} the closure"
+        )
+    of |= {pin.name: pin for pin in pins if pin.joints[0] in closures}
+    free = [joint_label(mechanism.model, joint) for joint in range(mechanism.model.njnt)]
+    if name in free and name not in (*of, *closures):
+        raise ProblemError(f"limits.pin_force.{name}: joint {name} leaves its body all six freedoms and carries no force")
+    chosen = choose("joint or closure in limits.pin_force", name, [*of, *closures], ProblemError)
+    return of[chosen] if chosen in of else closures.index(chosen)
 
 
 def _including_rest(value: float | list[float], where: str) -> tuple[float, float]:

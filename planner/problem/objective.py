@@ -141,6 +141,13 @@ TERMS: Mapping[str, Term] = {
         order=2,
         needs=("closures",),
     ),
+    "shaking_force": Term(
+        words="integral of the squared force on the frame, the weight included",
+        unit="N2 s",
+        integrand=lambda at: ca.sumsqr(at.joint_loads[:3, 0]),
+        size=lambda scales, _: scales.time_s * scales.force**2,
+        order=2,
+    ),
 }
 assert set(TERMS) == set(get_args(TermName)), "keys.kinds.Term names the terms in problem files"
 

@@ -10,12 +10,13 @@ from flint import arb, arb_poly, arb_series
 
 from linkplan.models.actuation.distribution import actuator_sizes
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.poses.joint_forces import joint_loads
 from linkplan.planner.limits.samples import Leverage
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.taylor import Matrix, NotSeparatedError, product, solve_enclosed, transposed
-from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
+from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk, walk_of
 from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
@@ -91,6 +92,7 @@ class Kinetics:
     accelerations: list[Ball]
     _trees: dict[float, list[Ball]] = field(default_factory=dict)
     _efforts: dict[Corner | None, list[Ball]] = field(default_factory=dict)
+    _loads: dict[tuple[int, int], Ball] = field(default_factory=dict)
 
     @cached_property
     def jerks(self) -> list[Ball]:
@@ -185,6 +187,16 @@ class Kinetics:
         """The forces (n_rows,) on all closure rows [N], of least norm."""
         state, blocks = self.state, self.state.blocks
         return product(blocks.force_map(state.q)[0], self.multipliers, blocks.n_rows)
+
+    def joint_loads(self, column: int) -> list[Ball]:
+        """Return a column (6,) of the loads on the frame and in the pins of the tree, by the function `joint_loads`."""
+        state, mechanism = self.state, self.state.blocks.mechanism
+        if not self._loads:
+            payload = () if mechanism.payload is None else mechanism.payload.numbers()
+            given = [*(arb(float(x)) for x in payload), *(x for of in state.forces for x in of)]
+            motion = state.q, self.rates, self.accelerations, self.closure_forces, state.u, given
+            self._loads.update(walk_of(joint_loads(mechanism))(*motion)[0])
+        return dense(self._loads, 6, column)
 
     @cached_property
     def actuator_speeds(self) -> list[Ball]:

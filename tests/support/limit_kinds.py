@@ -12,6 +12,7 @@ from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, 
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.joint_forces import pins_of
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
@@ -97,6 +98,7 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
         *_bodies(problem, rng),
         *_robust(problem, j),
         *_line(problem, motion, j),
+        *_pins(problem, rng),
         *_loops(problem, rng),
         *_parts(problem, rng),
         *_servo(problem, j),
@@ -209,6 +211,26 @@ def _line(problem: Problem, motion: Trajectory, j: int) -> list[Kind]:
 
     name = problem.mechanism.actuators[j].name
     return [Kind(words=f"torque-speed line of {name}", values=values, limited=limited, of_effort=True, signs=(1,))]
+
+
+def _pins(problem: Problem, rng: np.random.Generator) -> list[Kind]:
+    pins = pins_of(problem.mechanism)
+    if not pins:
+        return []
+    name = pins[int(rng.integers(len(pins)))].name
+
+    def limited(problem: Problem, _: float, high: float) -> Problem:
+        return problem.varied(limits=replace(problem.limits, pin_force={name: high}))
+
+    return [
+        Kind(
+            words=f"squared pin force of {name}",
+            values=lambda at: at.joint_forces.force[name],
+            limited=limited,
+            of_effort=bool(rng.integers(2)),
+            signs=(1,),
+        )
+    ]
 
 
 def _loops(problem: Problem, rng: np.random.Generator) -> list[Kind]:

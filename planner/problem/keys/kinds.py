@@ -33,8 +33,8 @@ BREAKS = (
 # Largest mass, length and moment of inertia of a payload, in SI units.
 MAX_PAYLOAD = 1e12
 
-# A function that raises for an unknown name, of the kind of object ("joint", "actuator", "site", "body", "closure"), the
-# name and its table's key.
+# A function that raises for an unknown name, of the kind of object ("joint", "actuator", "site", "body", "closure",
+# "pin"), the name and its table's key.
 Known = Callable[[str, str, str], None]
 
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
@@ -78,7 +78,10 @@ Spline = Literal["periodic", "clamped", "natural"]
 Interpolation = Literal["linear", "cubic"]
 Shape = Literal["polyline", "spline", "arc"]
 Axis = Literal["x", "y", "z"]
-Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force"]
+Term = Literal[
+    *("effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort"),
+    *("closure_force", "shaking_force"),
+]
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
@@ -176,6 +179,7 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorEfforts = Annotated[dict[str, Number], Meta(extra=_ACTUATORS)]
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
+PinLimits = Annotated[dict[str, Positive], Meta(extra={"of": "joint or closure = newtons", "noun": "pin"})]
 SiteSpeeds = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second", "noun": "site"})]
 SiteAccelerations = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
 SiteJerks = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second cubed", "noun": "site"})]

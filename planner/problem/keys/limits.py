@@ -119,6 +119,10 @@ class LimitValues:
     closure_force: Annotated[
         Rows, KeyOf("closure_force", "closure", kinds.ClosureLimits, "the largest force on a closure's pin", "N")
     ] = UNLIMITED
+    pin_force: Annotated[
+        ByName,
+        KeyOf("pin_force", "pin", kinds.PinLimits, "the largest force in the pin, slide or ball of a joint or closure", "N"),
+    ] = UNLIMITED
     reserve: Annotated[
         float, KeyOf("reserve", "", kinds.Margin, "the share of every effort range that is reserved for feedback")
     ] = 0.0

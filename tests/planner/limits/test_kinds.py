@@ -9,9 +9,10 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit
 from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
-from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
+from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
 from linkplan.planner.limits.kinds import _ORDER, BETWEEN_NODES_FACTOR, KINDS, factor_of, without
 from linkplan.planner.limits.limit import Limit, limit_margin
+from linkplan.planner.limits.pins import ClosureForceLimit, PinForceLimit
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys import kinds
@@ -84,7 +85,8 @@ KNEE = {
     "speed one way": (SpeedLimit, "limits.speed_deg_s.O=[-20.0, 40.0]"),
     "power": (PowerLimit, "limits.power_w.act_O=300.0"),
     "power taken": (PowerLimit, "limits.power_w.act_O=[-100.0, 2000.0]"),
-    "pin force": (ClosureForceLimit, "limits.closure_force.B=1.0"),
+    "closure force": (ClosureForceLimit, "limits.closure_force.B=1.0"),
+    "pin force": (PinForceLimit, "limits.pin_force.O=100"),
     "singular margin": (SingularMarginLimit, "limits.singular_margin=0.6"),
     "torque-speed line": (MotorLimit, LINE.format(400.0)),
     "corners": (RobustLimit, "robust.payload_factor=[0.5, 3.0]"),

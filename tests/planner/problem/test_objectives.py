@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
@@ -121,6 +124,41 @@ def test_effort_and_copper_loss_together_are_an_effort_of_both_weights():
     plan = hinge("objective.minimize={effort=2.0,copper_loss=5.0}", MOTOR.format("motor"))
     alone = 12 * HINGE_INERTIA**2 * TURN**2 / 1.5**3
     assert plan.objective == pytest.approx((2 + 5 * LOSS) * alone, rel=EXACT_EFFORT)
+
+
+def test_the_least_shaking_force_of_a_lift_is_that_of_its_cubic_and_its_weight():
+    """(m (a + g))^2 is least where a falls linearly: 12 d^2 / T^3; the lift rests at both ends, so a has no mean."""
+    plan = body_plan(LIFT, f"{LIFTED}duration_s = 1.5\n", "objective.minimize=shaking_force")
+    least = WEIGHT**2 * (12 * RISE**2 / 1.5**3 + GRAVITY**2 * 1.5)
+    assert (plan.status, plan.objective) == ("optimal", pytest.approx(least, rel=EXACT_EFFORT))
+
+
+@pytest.mark.slow
+def test_the_shaking_force_is_what_accelerates_the_masses_and_carries_their_weight():
+    """By MuJoCo's total momentum along the motion, whose derivative is a central difference."""
+    plan, h = optimal("slider-crank-turn", "objective.minimize=shaking_force"), 1e-5
+    model, motion, (time, weights) = plan.problem.mechanism.model, plan.trajectory, instants(plan, 6)
+
+    def momentum(at: np.ndarray) -> np.ndarray:
+        poses = follow(plan.problem.mechanism, motion.position_at(at), motion.start_pose)
+        rates = joint_rates(plan.problem.mechanism, poses, motion.velocity_at(at))
+        return np.array([total_momentum(model, q, rate) for q, rate in zip(poses, rates, strict=True)])
+
+    forces = (momentum(time + h) - momentum(time - h)) / (2 * h) - model.body_mass.sum() * model.opt.gravity
+    assert weights @ (forces**2).sum(axis=1) == pytest.approx(plan.objective, rel=1e-5)
+    rival = optimal("slider-crank-turn")
+    on_frame = samples_of(rival.problem, rival.trajectory)
+    force = on_frame.joint_forces.on_frame[:, :3]
+    assert np.trapezoid((force**2).sum(axis=1), on_frame.time) > 1.2 * plan.objective
+
+
+def total_momentum(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Return the linear momentum (3,) [kg m/s] of all bodies."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(model, data)
+    mujoco.mj_subtreeVel(model, data)
+    return model.body_mass.sum() * data.subtree_linvel[0]
 
 
 # The knee: every term is the integral that it is said to be.

@@ -149,6 +149,7 @@ def test_a_spoilt_coefficient_is_refuted(name, at, by, words):
         ("limits.site_acceleration_m_s2.B_coupler={}", "acceleration of site B_coupler"),
         ("limits.power_w.act_O={}", "power of act_O"),
         ("limits.closure_force.B={}", "closure force of B"),
+        ("limits.pin_force.O={}", "pin force of O"),
         ("limits.range_deg.O=[-90, {}]", "position of O"),
     ],
 )

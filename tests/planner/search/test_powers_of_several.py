@@ -5,7 +5,7 @@ import pytest
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.actuators import PowerLimit
-from linkplan.planner.limits.joints import ClosureForceLimit
+from linkplan.planner.limits.pins import ClosureForceLimit
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.marking import Tightening, evened

@@ -7,7 +7,8 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates
 from linkplan.planner.closed_chain.mechanics import NodeTerms, closure_jerk, mechanism_system
-from linkplan.planner.limits.joints import ClosureForceLimit, SpeedLimit
+from linkplan.planner.limits.joints import SpeedLimit
+from linkplan.planner.limits.pins import ClosureForceLimit
 from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
