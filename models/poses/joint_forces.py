@@ -117,7 +117,7 @@ class JointForces:
     """Loads along n samples.
 
     `force` (n,) [N] and `moment` (n,) [N.m] are sizes by the names of closures and pins; moments that are always zero
-    are omitted. `on_frame` (n, 6) are the shaking force [N] and moment [N.m] on the frame, in the world's axes about its origin.
+    are omitted. `on_frame` (n, 6) are the shaking force [N] and moment [N.m], in the world's axes about its origin.
     """
 
     force: Mapping[str, np.ndarray]

@@ -5,6 +5,7 @@ A motion is given at any times in the units of files: positions and speeds of al
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,6 +18,7 @@ from linkplan.models.extras import load_extra
 from linkplan.models.poses.along import accelerations, jerks, joint_rates, sampled, site_motion, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.joint_forces import JointForces, joint_forces
 from linkplan.models.tree.joints import shown_by_name
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import Demand, demands_of
@@ -37,7 +39,8 @@ class MotionTable:
 
     `unit` is the unit of positions by joint, `effort_unit` the unit by actuator. `site` are the places of the sites that the
     problem names, in the world's frame, with their derivatives by time, and `body_deg` the angles of the bodies that it
-    names. Jerks are those within the intervals: where efforts jump, they are infinite.
+    names. Jerks are those within the intervals: where efforts jump, they are infinite. `states` are the arguments of
+    `joint_forces`.
     """
 
     time_s: np.ndarray
@@ -53,6 +56,12 @@ class MotionTable:
     site_acceleration_m_s2: dict[str, np.ndarray]
     site_jerk_m_s3: dict[str, np.ndarray]
     body_deg: dict[str, np.ndarray]
+    states: tuple
+
+    @property
+    def joint_forces(self) -> JointForces:
+        """The forces [N] and moments [N.m] in all closures and joints, and on the frame, at all times."""
+        return joint_forces(*self.states)
 
     def __repr__(self) -> str:
         time = np.atleast_1d(self.time_s)
@@ -65,7 +74,7 @@ class MotionTable:
 
     def single(self) -> MotionTable:
         """Return the first row, with numbers instead of arrays."""
-        tables = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("unit", "effort_unit")}
+        tables = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("unit", "effort_unit", "states")}
         time = float(tables.pop("time_s")[0])
         first = {
             key: {name: x[0] if x.ndim > 1 else float(x[0]) for name, x in table.items()} for key, table in tables.items()
@@ -92,11 +101,15 @@ class MotionTable:
         }
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg."""
+        """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg.
+
+        The forces in joints and on the frame are O_force_N, frame_force_x_N, ..., O_moment_Nm, frame_moment_x_Nm.
+        """
         of = self.by_quantity()
         rows = [(name, *of[key][name]) for name in self.position_deg for key in ("position", "speed")]
         rows += [(name, *row) for key in ("acceleration", "jerk", "effort") for name, row in of[key].items()]
         found = {"time_s": self.time_s} | {head_of(name, unit): values for name, unit, values in rows}
+        found |= {f"pin_{head}" if head in found else head: values for head, values in self._force_columns()}
         for name in self.site:
             quantities = [of[key][name] for key in ("site", "site_speed", "site_acceleration", "site_jerk")]
             columns = {
@@ -108,6 +121,14 @@ class MotionTable:
             head = f"body_{name}_deg"
             found[f"body_{head}" if head in found else head] = angle  # a hinge of that name has this head
         return found
+
+    def _force_columns(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the heads and values (n,) of the forces and moments in joints and on the frame."""
+        loads = self.joint_forces
+        for first, what, unit, sizes in ((0, "force", "N", loads.force), (3, "moment", "N.m", loads.moment)):
+            yield from ((head_of(f"{name}_{what}", unit), values) for name, values in sizes.items())
+            for k, axis in enumerate(AXES):
+                yield head_of(f"frame_{what}_{axis}", unit), loads.on_frame[:, first + k]
 
     def named_arrays(self) -> tuple[dict, dict]:
         """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
@@ -185,6 +206,7 @@ def motion_table(
     gone = whole_turns(mechanism, poses[-1] - poses[0]) if np.any(trajectory.advance) else np.zeros(mechanism.n_q)
     q = poses[back[len(dense) :]] + trajectory.periods_at(time)[:, None] * gone
     v, a, jerk = (of(time) for of in (trajectory.velocity_at, trajectory.acceleration_at, trajectory.jerk_at))
+    efforts = trajectory.effort_at(time)
 
     def of_sites(order: int) -> dict[str, np.ndarray]:
         motion = (q, v, a, jerk)[: max(3, order + 1)]
@@ -197,7 +219,7 @@ def motion_table(
         speed_deg_s=shown_by_name(mechanism.joints, joint_rates(mechanism, q, v)),
         acceleration_deg_s2=shown_by_name(mechanism.joints, accelerations(mechanism, q, v, a)),
         jerk_deg_s3=shown_by_name(mechanism.joints, jerks(mechanism, q, v, a, jerk)),
-        effort={actuator.name: u for actuator, u in zip(mechanism.actuators, trajectory.effort_at(time).T, strict=True)},
+        effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
         site={name: places_of(mechanism, index, q) for name, index in problem.sites.items()},
@@ -205,6 +227,7 @@ def motion_table(
         site_acceleration_m_s2=of_sites(2),
         site_jerk_m_s3=of_sites(3),
         body_deg={name: np.degrees(angles_of(mechanism, index, q)) for name, index in problem.bodies.items()},
+        states=(mechanism, q, v, a, efforts, *mechanism.forces_at(time)),
     )
 
 

@@ -101,7 +101,9 @@ def test_the_table_s_header_has_units(saved):
     header, _ = table(saved)
     joints = [name for joint in "OAC" for name in (f"{joint}_deg", f"{joint}_deg_s")]
     rates = [f"{joint}_deg_s{order}" for order in (2, 3) for joint in "OAC"]
-    assert header == ["time_s", *joints, *rates, "act_O_Nm"]
+    on_frame = [[f"frame_{what}_{axis}_{unit}" for axis in "xyz"] for what, unit in (("force", "N"), ("moment", "Nm"))]
+    forces = [*(f"{pin}_force_N" for pin in "BOAC"), *on_frame[0], *on_frame[1]]  # no moment across a planar pin's axis
+    assert header == ["time_s", *joints, *rates, "act_O_Nm", *forces]
 
 
 @pytest.mark.slow

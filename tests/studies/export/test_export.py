@@ -171,8 +171,9 @@ def test_parquet_has_the_csv_s_columns_exactly_and_their_units(plan):
     units = {field.name: field.metadata[b"unit"].decode() for field in read.schema}
     assert units == {
         "time_s": "s", "O_deg": "deg", "O_deg_s": "deg/s", "A_deg": "deg", "A_deg_s": "deg/s", "C_deg": "deg",
-        "C_deg_s": "deg/s", "act_O_Nm": "N.m",
+        "C_deg_s": "deg/s", "act_O_Nm": "N.m", **{f"{pin}_force_N": "N" for pin in "BOAC"},
         **{f"{name}_deg_s{order}": f"deg/s{order}" for name in "OAC" for order in (2, 3)},
+        **{f"frame_force_{axis}_N": "N" for axis in "xyz"}, **{f"frame_moment_{axis}_Nm": "N.m" for axis in "xyz"},
     }  # fmt: skip
     assert read.schema.metadata[b"plan"] == b"knee-reach"
 
