@@ -1,5 +1,6 @@
 """A path of `linkplan check` as a document: a table of a few poses, and the quantities that are the same at all poses."""
 
+from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
@@ -62,6 +63,35 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     weight = Text(text=f"'weight alone' omits springs; {hold} weight, springs and constant forces, at rest")
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
     return [*table, weight, *same, *_site_table(path), *_body_table(path), *sentences]
+
+
+def largest_forces(path: KinematicLoopPath) -> dict[str, tuple[float, float, str]]:
+    """Return the largest force [N] and moment [N.m] at rest in each closure and pin, and the pose of the force.
+
+    At a singular pose forces are not finite, and are left out.
+    """
+    loads, found = path.joint_forces, {}
+    for name, force in loads.force.items():
+        known, moment = (np.where(np.isfinite(of), of, 0.0) for of in (force, loads.moment.get(name, 0 * force)))
+        at = int(np.argmax(known >= (1 - ROUNDING_SHARE) * known.max()))
+        found[name] = float(known[at]), float(moment.max()), _pose(path, at)
+    return found
+
+
+def pin_table(found: Iterable[dict[str, tuple[float, float, str]]], most: int | None = None) -> list[Table]:
+    """Return the table of the largest forces along several paths, of the `most` loaded pins first if there are more."""
+    largest: dict[str, tuple[float, float, str]] = {}
+    for name, (force, moment, at) in (item for path in found for item in path.items()):
+        before = largest.get(name, (-1.0, 0.0, ""))
+        largest[name] = max(force, before[0]), max(moment, before[1]), at if force > before[0] else before[2]
+    chosen = sorted(largest, key=lambda name: -largest[name][0])[:most]
+    rows = [[name, *largest[name]] for name in largest if name in chosen]
+    heads = [("pin", ""), ("force", "N"), ("moment", "N.m"), ("largest force at", "")]
+    if not any(moment for _, _, moment, _ in rows):  # as in every planar mechanism
+        rows, heads = [[*row[:2], row[3]] for row in rows], [*heads[:2], heads[3]]
+    title = "largest forces in pins, at rest under the efforts that hold it"
+    title += f" (the {most} most loaded of {len(largest)} pins)" if len(rows) < len(largest) else ""
+    return [table_of(title, heads, rows)] if rows else []
 
 
 def _site_table(path: KinematicLoopPath) -> list[Table]:

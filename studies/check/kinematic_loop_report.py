@@ -8,7 +8,7 @@ Automation 3, 1987, for a point; here for an actuator's length). Efforts and for
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +22,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import distributed, sampled
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.joint_forces import JointForces, joint_forces, pins_of
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
@@ -85,6 +86,26 @@ class KinematicLoopPath(Sweep):
         return np.where(np.abs(needed) > ROUNDING_SHARE * np.abs(needed).max(initial=0.0), needed, 0.0)
 
     @property
+    def joint_forces(self) -> JointForces:
+        """The forces and moments in all closures and pins at rest, under the holding effort."""
+        return _forces_at_rest(self)
+
+    @property
+    def pin_force(self) -> np.ndarray:
+        """The size (n, n_pins) [N] of the force in each pin of the tree at rest."""
+        return self._of_pins(self.joint_forces.force)
+
+    @property
+    def pin_moment(self) -> np.ndarray:
+        """The size (n, n_pins) [N.m] of the moment in each pin of the tree at rest, across its axes."""
+        return self._of_pins(self.joint_forces.moment)
+
+    def _of_pins(self, sizes: Mapping[str, np.ndarray]) -> np.ndarray:
+        none = np.zeros(len(self.poses))
+        found = [sizes.get(pin.name, none) for pin in pins_of(self.mechanism)]
+        return np.array(found).T.reshape(len(none), -1)
+
+    @property
     def shown_poses(self) -> np.ndarray:
         """The poses (n, n_q) [deg or m]."""
         return self.poses * [joint.shown(1.0) for joint in self.mechanism.joints]
@@ -138,6 +159,12 @@ def measure(
         spring_ratio=spring_ratio,
         balances=() if coordinate is None else balances(mechanism, poses, weight[:, coordinate], coordinate),
     )
+
+
+@functools.lru_cache(maxsize=1)
+def _forces_at_rest(path: KinematicLoopPath) -> JointForces:
+    still = np.zeros((len(path.poses), path.mechanism.dof))
+    return joint_forces(path.mechanism, path.poses, still, still, path.holding_effort)
 
 
 @functools.lru_cache(maxsize=16)

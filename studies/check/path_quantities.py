@@ -12,6 +12,7 @@ from msgspec import Struct
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.body_angles import turning_bodies
+from linkplan.models.poses.joint_forces import pins_of
 from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import Joint, inertia_unit_of, shown_by_unit
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, has_whole_records
@@ -24,6 +25,8 @@ _KEYS = {
     "ratio": "transmission_ratio",
     "singularity": "singularity_ratio",
     "closure_force": "closure_force_n",
+    "pin_force": "pin_force_n",
+    "pin_moment": "pin_moment_nm",
     "spring_length": "spring_length_m",
     "spring_ratio": "spring_motion_ratio",
 }
@@ -47,6 +50,8 @@ class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
     available_effort: dict[str, np.ndarray]
     singularity_ratio: np.ndarray
     closure_force_n: dict[str, np.ndarray]
+    pin_force_n: dict[str, np.ndarray]
+    pin_moment_nm: dict[str, np.ndarray]
     site_m: dict[str, np.ndarray]
     body_deg: dict[str, np.ndarray]
     spring_length_m: dict[str, np.ndarray]
@@ -78,7 +83,7 @@ PLOTS = {
     "Effort that holds it still": "effort",
     "Effort within the actuators' limits": "effort",
     "Distance from a singular pose": "det J_z over that at home",
-    "Closure force at rest": "force",
+    "Force in closures and pins at rest": "force",
     "Motion ratio of springs": "d length / d coordinate",
 }
 _FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
@@ -123,6 +128,8 @@ QUANTITIES = (
         line="{} per {}",
     ),
     Quantity(field="closure_force", of=("closure",), unit="N", column="force {}", plot=_FORCE),
+    Quantity(field="pin_force", of=("pin",), unit="N", plot=_FORCE),
+    Quantity(field="pin_moment", of=("pin",), unit="N.m"),
     Quantity(field="rates", of=("joint", "coordinate")),
 )
 
@@ -136,6 +143,7 @@ def path_curves(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[i
         "follower": [(k, mechanism.joints[k]) for k in mechanism.dependent.tolist() if np.ptp(path.poses[:, k]) > rounding],
         "actuator": list(enumerate(mechanism.actuators)),
         "closure": list(enumerate(mechanism.closure_names)),
+        "pin": list(enumerate(pin.name for pin in pins_of(mechanism))),
         "tendon": list(enumerate(sprung_tendons(mechanism.model))),
     }
     return curves_of(quantity, parts, getattr(path, quantity.field))

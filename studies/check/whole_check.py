@@ -18,7 +18,7 @@ from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.check_report import path_blocks, weight_sentences
+from linkplan.studies.check.check_report import largest_forces, path_blocks, pin_table, weight_sentences
 from linkplan.studies.check.drives import joints_to_drive
 from linkplan.studies.check.inspection import Inspection, asked_pose, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks
@@ -51,6 +51,9 @@ from linkplan.studies.check.tolerances import (
 )
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
+
+# Pins in the table of a summary.
+MOST_PINS = 6
 
 
 class NamedNumber(Struct, frozen=True, kw_only=True):
@@ -105,7 +108,8 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
     def blocks(self) -> list[Block]:
         """Return the findings as a document, with brief tables for more than six coordinates."""
         brief = self.brief
-        paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
+        found = [(path_blocks(path, brief=brief), largest_forces(path)) for path in self.paths]
+        paths = [*(block for blocks, _ in found for block in blocks), *pin_table(forces for _, forces in found)]
         rest = "all of them" if has_whole_records(self.mechanism) else "every pose"
         left_out = (
             f"the table of each of the {len(self.sweeps)} coordinates above has only its own quantities that change along"
@@ -125,8 +129,10 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
 
     def summary(self) -> list[Block]:
         """Return the findings in at most thirty lines; first the notes on actuators too weak for weight and springs."""
-        weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
-        return [*summary_blocks(replace(self, notes=(*weak, *self.notes))), *self._site_blocks()]
+        few = () if self.brief else self.paths
+        weak = [text for path in few for text in weight_sentences(path)]
+        pins = pin_table(map(largest_forces, few), MOST_PINS)
+        return [*summary_blocks(replace(self, notes=(*weak, *self.notes))), *pins, *self._site_blocks()]
 
     def sections(self) -> list[Section]:
         """Return the sections of the findings and of each path."""

@@ -14,7 +14,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach, toggles
 from linkplan.planner.files.folders import to_json_types
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.check.check_report import path_blocks, quantities
+from linkplan.studies.check.check_report import largest_forces, path_blocks, pin_table, quantities
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
@@ -89,6 +89,23 @@ def test_the_slider_crank_s_weight_and_pin_force_at_rest_are_statics():
     arm = CRANK_MASS * CRANK_CENTRE + ROD_MASS * CRANK * (1 - ROD_CENTRE / ROD)
     assert relative_error(path.closure_force[:, 0], np.full(len(path.poses), share)) < KNEE
     assert relative_error(path.gravity_effort[:, 0], G * arm * np.cos(path.positions[:, 0])) < KNEE
+    record = path_figures(path)
+    upright = {"O": 0.3 + 0.2 - share / G, "A": 0.2 - share / G, "joint B": 0.6 + share / G}  # masses that each carries
+    assert {name: force / G for name, force in record.pin_force_n.items()} == {
+        name: pytest.approx(np.full(361, mass), rel=1e-9) for name, mass in upright.items()
+    }
+    (table,) = pin_table([largest_forces(path)])
+    assert list(table.rows[1][:2]) == ["O", pytest.approx(upright["O"] * G, rel=1e-3)]
+
+
+def test_the_largest_force_and_moment_of_a_pin_at_rest_are_the_weight_s_at_its_arm():
+    """The centre is 0.1 m beside the pin along its axis, so the moment across the axis is constant, and none is along it."""
+    arm = mechanism_of("""<mujoco><worldbody><body><joint name="J" axis="0 1 0" pos="0 0.1 0"/>
+      <geom size="0.1" mass="2" pos="0.3 0.2 0"/></body></worldbody><actuator><motor joint="J"/></actuator></mujoco>""")
+    (path,) = map(measured, reach_sweeps(arm, (reach(arm),)))
+    assert largest_forces(path)["J"][:2] == (pytest.approx(2 * G), pytest.approx(2 * G * 0.1))
+    (table,) = pin_table([largest_forces(path)])
+    assert [head for head, _ in table.columns][:3] == ["pin", "force", "moment"]
 
 
 def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull():
