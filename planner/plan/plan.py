@@ -396,7 +396,8 @@ class Plan:
             joints by name; `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and
             `effort_unit` are their units. `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world
             frame, `site_speed_m_s`, `site_acceleration_m_s2` and `site_jerk_m_s3` its derivatives, and `body_deg` the angles
-            of the bodies that it names. `columns()` returns all columns under heads with units.
+            of the bodies that it names. `joint_forces` are the forces and moments in all joints and on the frame.
+            `columns()` returns all columns under heads with units.
 
         Raises:
             LinkplanError: if the plan has no motion, or a time is not finite or beyond its ends.

@@ -128,14 +128,40 @@ def test_a_base_on_six_joints_stands_on_no_pin(arm, pins):
     assert {name: float(force[0]) for name, force in forces.items()} == {pin: pytest.approx(2 * 9.81) for pin in pins}
 
 
-# Planar loops, a slide, a spring's tendon; a leg, hinges and slides of one body, ball joints, a weld in space.
-BUILT_IN, IN_SPACE = ("optimus-knee-linear", "slider-crank", "andrews-squeezer"), ("leg", "rscr", "rssr", "welded")
+# Hinges, slides and a ball with anchors of their own; springs, dampers, armature; a rope around a cylinder, a gas spring, a
+# weight held up; actuators of all transmissions, which act between bodies, on one body, or from outside.
+CHAIN = """<mujoco><worldbody><site name="w" pos="0.2 0.1 1"/>
+  <geom name="g" type="cylinder" size="0.03 0.5" pos="0.1 0 0.5" euler="90 0 0" contype="0" conaffinity="0"/>
+  <body name="a" pos="0 0 1" euler="10 20 30"><joint name="A" axis="0 1 0.2" pos="0.02 0.03 0.01" damping="0.3"/>
+    <inertial pos=".1 .05 .2" mass="2" diaginertia=".1 .2 .15"/><site name="sa" pos=".1 .1 .1" euler="5 6 7"/>
+  <body name="b" pos=".3 .1 .1"><joint name="B" axis="1 0 0" stiffness="4" armature="0.1"/>
+    <joint name="B2" axis="0 1 0" pos="0 0 0.05"/><inertial pos=".1 .05 -.2" mass="1.5" diaginertia=".1 .2 .15"/>
+    <site name="sb" pos=".2 .1 .1" euler="25 6 7"/>
+  <body name="c" pos=".3 0 .1"><joint name="C" axis="1 0.3 0" type="slide" damping="2"/><joint name="C2" axis="0 0 1"/>
+    <inertial pos=".1 .05 -.2" mass="1.1" diaginertia=".1 .2 .15"/><site name="sc" pos=".2 .1 .1"/>
+  <body name="d" pos=".1 0 0" gravcomp="0.5"><joint name="D" type="ball"/>
+    <inertial pos=".1 .05 -.2" mass="0.7" diaginertia=".1 .2 .15"/><site name="sd" pos=".1 0 0"/></body></body></body></body>
+  </worldbody><tendon>
+  <spatial name="rope" stiffness="30" damping="3" springlength="0.1"><site site="w"/><geom geom="g"/>
+    <site site="sb"/></spatial>
+  <spatial name="strut" damping="3" armature="0.4"><site site="sa"/><site site="sc"/></spatial>
+  <fixed name="belt"><joint joint="A" coef="2"/><joint joint="B2" coef="1"/></fixed></tendon>
+  <actuator><motor tendon="strut" gear="2"/><motor tendon="rope"/><motor tendon="belt"/>
+  <motor site="sc" gear="1 2 3 0.1 0.2 0.3"/><motor site="sc" refsite="sa" gear="1 2 3 0 0 0"/>
+  <motor joint="D" gear="1 2 3"/>
+  <motor site="sc" refsite="w" gear="3 2 1 0 0 0"/><motor jointinparent="D" gear="1 2 3"/><motor joint="A"/>
+  <motor cranksite="sd" slidersite="sb" cranklength="0.9"/>
+  <general tendon="strut" gainprm="0" biastype="affine" biasprm="3 -2 -1"/>
+  <general site="sc" refsite="w" gear="1 2 3 0 0 0" gainprm="0" biastype="affine" biasprm="3 0 0"/></actuator></mujoco>"""
+# Planar loops with an actuator on a weld, and a spring's tendon; a leg, hinge and slide of one body, a weld in space.
+BUILT_IN, IN_SPACE = ("optimus-knee-linear", "andrews-squeezer"), ("leg", "rscr", "welded")
 
 
-@pytest.mark.parametrize("name", [*BUILT_IN, *IN_SPACE])
+@pytest.mark.parametrize("name", [*BUILT_IN, *IN_SPACE, CHAIN], ids=lambda name: "chain" if name == CHAIN else name)
 def test_forces_and_moments_are_those_of_virtual_cuts_in_mujoco(name):
-    mechanism = load_mechanism(name) if name in BUILT_IN else loaded(name)
+    mechanism = loaded(name) if name in IN_SPACE else load_mechanism(name)
     rng, q = np.random.default_rng(3), np.tile(mechanism.home, (3, 1))
+    q += 0.2 * rng.normal(size=q.shape) * (len(mechanism.dependent) == 0)
     v, u = rng.normal(size=(3, mechanism.dof)), rng.normal(size=(3, mechanism.n_u))
     a = np.array([acceleration_at(mechanism.dynamics, *one) for one in zip(q, v, u, strict=True)])
     found = joint_forces(mechanism, q, v, a, u)
