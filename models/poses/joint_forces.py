@@ -22,7 +22,16 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.kinematics import joints_of
 from linkplan.models.mechanism import Mechanism, parametric_tree
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
-from linkplan.models.tree.coordinates import FREE, HINGE, SLIDE, joint_label, rotation_about
+from linkplan.models.symbolic_model import axis_of, column
+from linkplan.models.tree.coordinates import (
+    HINGE,
+    SLIDE,
+    joint_label,
+    rotation_about,
+    rotation_from_quaternion,
+    rotation_of,
+    turned_quaternion,
+)
 from linkplan.models.tree.dynamics import Tree
 
 # Axes count as parallel if the sine of their angle is smaller.
@@ -54,7 +63,7 @@ def joint_loads(mechanism: Mechanism) -> ca.Function:
     """Return the function to the loads (6, 1 + n_pins): force [N] and moment [N.m] on the frame, and in every pin.
 
     Its inputs are q, q' and q'' (n_q,) of all joints, the closure forces lambda (n_rows,), the efforts u (n_u,), and one
-    column of the payload's numbers and the forces over time. The first column is what the mechanism exerts on the frame, in
+    column of the mechanism's parameters and the forces over time. The first column is what the mechanism exerts on the frame, in
     the world's axes, the moment about the world's origin. The others are what the parent exerts on the body of each of
     `pins_of`, in the body's axes, the moment about the anchor of its last hinge or ball, else about its origin. Components
     along slides, and moments about the axes of hinges, are omitted.
@@ -64,8 +73,8 @@ def joint_loads(mechanism: Mechanism) -> ca.Function:
     tree, given = parametric_tree(mechanism, moved)
     n, rows = model.nv, mechanism.n_closure_rows
     longer = ca.diagcat(tree.velocity_matrix, ca.SX.eye(moved.numel()))
-    arms = effort_matrix(model, replace(tree, q=ca.vertcat(tree.q, moved), velocity_matrix=longer), mechanism.actuators)
-    phi = ca.vertcat(ca.SX(0, 1), *(closure.residual for closure in read_closures(model, tree)))
+    arms = effort_matrix(tree.model, replace(tree, q=ca.vertcat(tree.q, moved), velocity_matrix=longer), mechanism.actuators)
+    phi = ca.vertcat(ca.SX(0, 1), *(closure.residual for closure in read_closures(tree.model, tree)))
     q, qd, qdd = (ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd"))
     force, u = ca.SX.sym("lambda", rows), ca.SX.sym("u", mechanism.n_u)
     load = tree.reaction - arms[n:, :] @ u - ca.jacobian(phi, moved).T @ force[: phi.numel()]
@@ -83,17 +92,20 @@ def _transmitted(tree: Tree, body: int, load: ca.SX) -> ca.SX:
     along: list[ca.SX] = []
     about: list[ca.SX] = []
     for joint in reversed(joints_of(model, body)):
-        axis, kind = ca.DM(model.jnt_axis[joint]), int(model.jnt_type[joint])
-        if kind in (HINGE, SLIDE):
-            (about if kind == HINGE else along).append(turn.T @ axis)
-        else:
-            about += ca.horzsplit(ca.SX.eye(3))
-            along += ca.horzsplit(ca.SX.eye(3)) if kind == FREE else []
-        if kind != SLIDE and anchor is None:
-            anchor = ca.DM(model.jnt_pos[joint])
+        axis, kind = axis_of(model, joint), int(model.jnt_type[joint])
+        if kind == SLIDE:
+            along.append(turn.T @ axis)
+            continue
+        anchor = column(model.jnt_pos[joint]) if anchor is None else anchor
         if kind == HINGE:
+            about.append(turn.T @ axis)
             angle = tree.q[int(model.jnt_dofadr[joint])] - model.qpos0[model.jnt_qposadr[joint]]
             turn = rotation_about(model.jnt_axis[joint], angle) @ turn
+        else:
+            about += ca.horzsplit(ca.SX.eye(3))
+            chart = tree.coordinates.chart_of(joint)
+            turned = rotation_of(turned_quaternion(chart, tree.q))
+            turn = ca.DM(rotation_from_quaternion(chart.centre)) @ turned @ turn
     force, moment = ca.vertsplit(load, 3)
     moment -= ca.cross(ca.DM.zeros(3) if anchor is None else anchor, force)
     return ca.vertcat(_across(tree.q, along, force), _across(tree.q, about, moment))
@@ -141,7 +153,7 @@ def joint_forces(
         forces: those of `Mechanism.forces_at`; without them, forces over time are omitted.
     """
     loads, sizes = loads_along(mechanism, q, v, a, u, *forces), functools.partial(np.linalg.norm, axis=1)
-    cut = _closure_forces(mechanism, q, v, a, u, *forces)
+    cut = closure_rows_along(mechanism, q, v, a, u, *forces)
     force = {name: sizes(cut[:, mechanism.closure_slice(c)]) for c, name in enumerate(mechanism.closure_names)}
     welds = [gap for gap in mechanism.closures if gap.kind == "orientation"]
     moment = {gap.name: sizes(cut[:, gap.rows]) * gap.per_unit for gap in welds}
@@ -158,10 +170,10 @@ def loads_along(mechanism: Mechanism, q, v, a, u, *forces: np.ndarray) -> np.nda
     n_forces = 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)
     given = np.hstack([np.tile(payload, (len(q), 1)), forces[0] if forces else np.zeros((len(q), n_forces))])
     motion = q, joint_rates(mechanism, q, v), accelerations(mechanism, q, v, a)
-    return sampled(joint_loads(mechanism), *motion, _closure_forces(mechanism, q, v, a, u, *forces), u, given)
+    return sampled(joint_loads(mechanism), *motion, closure_rows_along(mechanism, q, v, a, u, *forces), u, given)
 
 
-def _closure_forces(mechanism: Mechanism, q, v, a, u, *forces: np.ndarray) -> np.ndarray:
+def closure_rows_along(mechanism: Mechanism, q, v, a, u, *forces: np.ndarray) -> np.ndarray:
     """Return the forces (n, n_rows) [N] on all closure rows along samples."""
     of = mechanism.forced if forces else mechanism.dynamics
     return sampled(of.closure_force, q, v, a, u, *forces)[:, :, 0]

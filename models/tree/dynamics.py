@@ -161,7 +161,9 @@ def build_tree(
     passive = ca.vertcat(joint_force, still) + tendon_force + gas_force + compensation
     for site, force in (forces or {}).items():
         passive += ca.jacobian(site_point(model, frames, site), x).T @ force
-    friction = dry_friction(model, lengths, x, rates, ca.vertcat(velocity, still), turning, transition, extent_m(numeric(model)))
+    friction = dry_friction(
+        model, lengths, x, rates, ca.vertcat(velocity, still), turning, transition, extent_m(numeric(model))
+    )
     tau, reaction = tau[:n_q], (tau - passive - friction)[n_q:]
     mass_matrix = ca.jacobian(tau, qdd)
     return Tree(

@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
-from linkplan.models.poses.joint_forces import loads_along, pins_of
+from linkplan.models.poses.joint_forces import closure_rows_along, loads_along, pins_of
 from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.limit import (
     Bounds,
@@ -134,8 +133,7 @@ class ClosureForceLimit(_ForceLimit):
         return at.closure_forces[at.state.blocks.mechanism.closure_slice(self.item)]
 
     def along(self, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
-        of = mechanism.forced if len(motion) > 4 else mechanism.dynamics
-        return sampled(of.closure_force, *motion)[:, mechanism.closure_slice(self.item), 0]
+        return closure_rows_along(mechanism, *motion)[:, mechanism.closure_slice(self.item)]
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:

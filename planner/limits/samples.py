@@ -10,7 +10,7 @@ from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.joint_forces import JointForces, joint_forces
+from linkplan.models.poses.joint_forces import JointForces, closure_rows_along, joint_forces
 from linkplan.planner.problem.instant import corner_demands_along, corner_efforts_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -324,7 +324,7 @@ def actuator_speeds(problem: Problem, q: np.ndarray, v: np.ndarray) -> np.ndarra
 def closure_forces(problem: Problem, q, v, a, u, *forces: np.ndarray) -> np.ndarray:
     """Return the size (n, n_closures) [N] of every closure's force; `forces` are those of `Mechanism.forces_at`."""
     mechanism = problem.mechanism
-    force = sampled(mechanism.forced.closure_force, q, v, a, u, *forces)[:, :, 0]
+    force = closure_rows_along(mechanism, q, v, a, u, *forces)
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return np.array(sizes).T.reshape(len(q), -1)
 

@@ -74,7 +74,9 @@ class MotionTable:
 
     def single(self) -> MotionTable:
         """Return the first row, with numbers instead of arrays."""
-        tables = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("unit", "effort_unit", "states")}
+        tables = {
+            one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("unit", "effort_unit", "states")
+        }
         time = float(tables.pop("time_s")[0])
         first = {
             key: {name: x[0] if x.ndim > 1 else float(x[0]) for name, x in table.items()} for key, table in tables.items()

@@ -79,9 +79,9 @@ Interpolation = Literal["linear", "cubic"]
 Shape = Literal["polyline", "spline", "arc"]
 Axis = Literal["x", "y", "z"]
 Term = Literal[
-    *("effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort"),
-    *("closure_force", "shaking_force"),
-]
+    "effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force",
+    "shaking_force",
+]  # fmt: skip
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
