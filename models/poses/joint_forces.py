@@ -63,10 +63,10 @@ def joint_loads(mechanism: Mechanism) -> ca.Function:
     """Return the function to the loads (6, 1 + n_pins): force [N] and moment [N.m] on the frame, and in every pin.
 
     Its inputs are q, q' and q'' (n_q,) of all joints, the closure forces lambda (n_rows,), the efforts u (n_u,), and one
-    column of the mechanism's parameters and the forces over time. The first column is what the mechanism exerts on the frame, in
-    the world's axes, the moment about the world's origin. The others are what the parent exerts on the body of each of
-    `pins_of`, in the body's axes, the moment about the anchor of its last hinge or ball, else about its origin. Components
-    along slides, and moments about the axes of hinges, are omitted.
+    column of the mechanism's parameters and the forces over time. The first column is what the mechanism exerts on the
+    frame, in the world's axes, the moment about the world's origin. The others are what the parent exerts on the body of
+    each of `pins_of`, in the body's axes, the moment about the anchor of its last hinge or ball, else about its origin.
+    Components along slides, and moments about the axes of hinges, are omitted.
     """
     model = mechanism.model
     moved = ca.SX.sym("displacement", 6 * model.nbody)
@@ -166,9 +166,9 @@ def joint_forces(
 
 def loads_along(mechanism: Mechanism, q, v, a, u, *forces: np.ndarray) -> np.ndarray:
     """Return the values (n, 6, 1 + n_pins) of `joint_loads` along samples, which are those of `joint_forces`."""
-    payload = () if mechanism.payload is None else mechanism.payload.numbers()
+    values = mechanism.parameter_values
     n_forces = 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)
-    given = np.hstack([np.tile(payload, (len(q), 1)), forces[0] if forces else np.zeros((len(q), n_forces))])
+    given = np.hstack([np.tile(values, (len(q), 1)), forces[0] if forces else np.zeros((len(q), n_forces))])
     motion = q, joint_rates(mechanism, q, v), accelerations(mechanism, q, v, a)
     return sampled(joint_loads(mechanism), *motion, closure_rows_along(mechanism, q, v, a, u, *forces), u, given)
 

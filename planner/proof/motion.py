@@ -192,8 +192,8 @@ class Kinetics:
         """Return a column (6,) of the loads on the frame and in the pins of the tree, by the function `joint_loads`."""
         state, mechanism = self.state, self.state.blocks.mechanism
         if not self._loads:
-            payload = () if mechanism.payload is None else mechanism.payload.numbers()
-            given = [*(arb(float(x)) for x in payload), *(x for of in state.forces for x in of)]
+            values = mechanism.parameter_values
+            given = [*(arb(float(x)) for x in values), *(x for of in state.forces for x in of)]
             motion = state.q, self.rates, self.accelerations, self.closure_forces, state.u, given
             self._loads.update(walk_of(joint_loads(mechanism))(*motion)[0])
         return dense(self._loads, 6, column)

@@ -6,8 +6,8 @@ The independent coordinates s stay where they are, and the loops close with othe
 
 of each quantity y(q, p). With the tolerances t of the numbers, the worst case of y is sum |dy/dp| t, and its standard
 deviation is the root of sum (dy/dp sd)^2. A number without an sd has t / sqrt(3), as for errors spread evenly between -t
-and t. The play of a pin is a tolerance of its two coordinates. Near a singular pose no slope says how far the loops move: poses
-at which the tolerances may change a determinant of the closure by more than half of its value are left out.
+and t. The play of a pin is a tolerance of its two coordinates. Near a singular pose no slope says how far the loops move:
+poses at which the tolerances may change a determinant of the closure by more than half of its value are left out.
 """
 
 import fnmatch
