@@ -185,7 +185,9 @@ def reduce_tree(
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
-    nominal = loops.jacobian if parameters is None else ca.substitute(loops.jacobian, parameters, ca.DM(values))
+    nominal = loops.jacobian
+    if parameters is not None:
+        nominal = ca.substitute(nominal, parameters, ca.DM(np.asarray(values)))
     force_map = _force_map(tree, closures, loops, projected, nominal)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[bound])
     held = loops.independent_jacobian.T @ mu

@@ -159,7 +159,7 @@ def _to_body(
     return motion, way
 
 
-def _turned(R: ca.SX | ca.DM, arm: ca.DM) -> Carry:
+def _turned(R: ca.SX | ca.DM, arm: ca.SX | ca.DM) -> Carry:
     """Return the step to axes R with their origin at `arm`."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
@@ -169,7 +169,7 @@ def _turned(R: ca.SX | ca.DM, arm: ca.DM) -> Carry:
     return carry
 
 
-def _held(axes: ca.DM, anchor: ca.DM, dofs: range) -> Carry:
+def _held(axes: ca.SX | ca.DM, anchor: ca.SX | ca.DM, dofs: range) -> Carry:
     """Return the step to an origin with the joint's anchor at `anchor`. The generalised forces are moments about `axes`."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
@@ -179,7 +179,7 @@ def _held(axes: ca.DM, anchor: ca.DM, dofs: range) -> Carry:
     return carry
 
 
-def _pushed(axes: ca.DM, travel: ca.SX | ca.DM, dofs: range | list[int]) -> Carry:
+def _pushed(axes: ca.SX | ca.DM, travel: ca.SX | ca.DM, dofs: range | list[int]) -> Carry:
     """Return the step of a slide by `travel`. The generalised forces are the forces along `axes` (3, n)."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:

@@ -90,7 +90,7 @@ class Kinetics:
     state: "State"
     rates: list[Ball]
     accelerations: list[Ball]
-    _trees: dict[float, list[Ball]] = field(default_factory=dict)
+    _trees: dict[tuple[float, ...], list[Ball]] = field(default_factory=dict)
     _efforts: dict[Corner | None, list[Ball]] = field(default_factory=dict)
     _loads: dict[tuple[int, int], Ball] = field(default_factory=dict)
 
@@ -105,11 +105,9 @@ class Kinetics:
     def needed(self, corner: Corner | None = None) -> tuple[list[Ball], list[Ball]]:
         """Return the reduced efforts tau (n_s,) and the multipliers J_z^-T (...)_z of the nominal model or of a corner."""
         state, mechanism = self.state, self.state.blocks.mechanism
-        values = (
-            ()
-            if corner is None or not corner.changes_parameters
-            else tuple(corner.parameters(mechanism, mechanism.parameter_values.tolist()))
-        )
+        values: tuple[float, ...] = ()
+        if corner is not None and corner.changes_parameters:
+            values = tuple(corner.parameters(mechanism, mechanism.parameter_values.tolist()))
         walk = loaded_tree(mechanism, values) if values else state.blocks.tree
         if values not in self._trees:
             self._trees[values] = dense(walk(state.q, self.rates, self.accelerations, *state.forces)[0], len(state.q))
