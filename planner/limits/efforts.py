@@ -10,8 +10,12 @@ from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 
+from linkplan.models.actuation.distribution import ZERO_ARM_SHARE
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.limits.bounds import EffortBounds
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
@@ -27,7 +31,7 @@ from linkplan.planner.limits.limit import (
 from linkplan.planner.limits.samples import Leverage, Samples, least_between, samples_for_claims
 from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import NO_JUMP_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Allowed overrun of the motion's effort by inverse dynamics, as a share of the limit. Proofs refuse larger overruns, and the
@@ -168,11 +172,12 @@ class EffortRateLimit(Limit):
         actuator, bounds = at.problem.mechanism.actuators[self.item], at.problem.limits.effort_rate[self.item]
         rate, jumps = effort_rates(at.trajectory, at.time)
         values = np.where(np.isnan(jumps[:, self.item]), rate[:, self.item], jumps[:, self.item])
-        ends, before = [0, -1], at.problem.limits.initial_effort[self.item, 0]
+        before = at.problem.limits.initial_effort[self.item, 0]
         # An effort has jumped at a start or goal at rest that it does not hold, and at a start with another effort before.
-        jumped = holds_at_rest(at.problem) & at.acceleration_jumps[ends].any(axis=1)
-        jumped[0] |= np.isfinite(before) and abs(at.u[0, self.item] - before) > _jump_size(at.trajectory)
-        values[ends] = np.where(jumped, np.inf, values[ends])
+        start, goal = (jump > NO_JUMP_SHARE for jump in rest_jumps(at.problem, at.trajectory))
+        if np.isfinite(before):
+            start = abs(at.u[0, self.item] - before) > _jump_size(at.trajectory)
+        values[[0, -1]] = np.where([start, goal], np.inf, values[[0, -1]])
         return Measured(actuator.name, values, bounds, f"{actuator.unit}/s")
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
@@ -190,14 +195,42 @@ class EffortRateLimit(Limit):
         return with_limits(problem, effort_rate=problem.limits.effort_rate * min(factor, RELAXED_FACTOR))
 
 
-def holds_at_rest(problem: Problem) -> tuple[bool, bool]:
-    """Return for start and goal if a motion that rests there is held, because the rates of all efforts are limited.
+def holds_at_rest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Return for start and goal the weights (n, n_s) of sums of accelerations that are zero if a motion rests there.
 
-    Initial efforts that are given need not hold the start.
+    Efforts with a limited rate hold it, except initial efforts that are given; so only the other efforts accelerate it. At
+    a goal whose pose is free some efforts without a limit leave nothing determined.
     """
-    limits, fully_driven = problem.limits, problem.mechanism.n_u >= problem.mechanism.dof
-    held = problem.motion.kind == "reach" and fully_driven and bool(np.isfinite(limits.effort_rate).any(axis=1).all())
-    return held and not np.isfinite(limits.initial_effort).any(), held
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    limited = np.isfinite(limits.effort_rate).any(axis=1)
+    if motion.kind != "reach" or mechanism.n_u < mechanism.dof or not limited.any():
+        return np.zeros((0, mechanism.dof)), np.zeros((0, mechanism.dof))
+    given = np.isfinite(limits.initial_effort).any(axis=1)
+    goal = None if motion.goal_is_free else motion.goal
+    return _held_sums(mechanism, motion.start, limited & ~given), _held_sums(mechanism, goal, limited)
+
+
+def _held_sums(mechanism: Mechanism, s: np.ndarray | None, holding: np.ndarray) -> np.ndarray:
+    """Return the weights (n, n_s) of sums of accelerations at s (n_s,) that are zero if the actuators (n_u,) hold."""
+    if holding.all():
+        return np.eye(mechanism.dof)
+    if s is None or not holding.any():
+        return np.zeros((0, mechanism.dof))
+    pose = close_at(mechanism, s)
+    arms = np.array(mechanism.dynamics.effort_map(pose))
+    unmoved = scipy.linalg.null_space(arms[:, ~holding].T, rcond=ZERO_ARM_SHARE)
+    return unmoved.T @ np.array(mechanism.dynamics.reduced_inertia(pose))
+
+
+def rest_jumps(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
+    """Return the accelerations at the start and to the goal that held efforts forbid, as shares of the largest one."""
+    ends = trajectory.acceleration_jumps()[[0, -1]]
+    size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
+    start, goal = (
+        float((np.abs(sums @ end) / np.abs(sums).sum(axis=1)).max(initial=0.0)) / size
+        for sums, end in zip(holds_at_rest(problem), ends, strict=True)
+    )
+    return start, goal
 
 
 def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -130,10 +130,12 @@ def rest_notes(motion: Motion, mechanism: Mechanism, limits: Limits) -> list[str
     return [f"{words}, so the machine leaves it at once" for words in found.values() if words is not None]
 
 
-def lacking_at_rest(motion: Motion, mechanism: Mechanism, limits: Limits, name: str, free: Sequence[int] = ()) -> str | None:
+def lacking_at_rest(
+    motion: Motion, mechanism: Mechanism, limits: Limits, name: str, free: np.ndarray | None = None
+) -> str | None:
     """Return the words on the effort that the motors lack to hold "start" or "goal"; None if they hold it or it moves.
 
-    Independent coordinates in `free` may have an acceleration there.
+    Accelerations there are allowed along the columns of `free` (n_s, n).
     """
     s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
     if motion.kind not in ("reach", "follow") or mechanism.forces is not None or s is None:
@@ -145,10 +147,10 @@ def lacking_at_rest(motion: Motion, mechanism: Mechanism, limits: Limits, name: 
     except AssemblyError:  # the search says so
         return None
     tau, maps = demanded(mechanism, pose, still, still)
-    inertia = np.array(mechanism.dynamics.reduced_inertia(pose[0]))[None, :, list(free)]
+    free = np.zeros((mechanism.dof, 0)) if free is None else free
     # Free accelerations are efforts of further actuators, without limits.
-    maps = np.concatenate([maps, -inertia], axis=2)
-    limit = np.vstack([limits.effort, np.tile(UNLIMITED, (len(free), 1))])
+    maps = np.concatenate([maps, -(np.array(mechanism.dynamics.reduced_inertia(pose[0])) @ free)[None]], axis=2)
+    limit = np.vstack([limits.effort, np.tile(UNLIMITED, (free.shape[1], 1))])
     missed = lacking(tau, maps, distribute(tau, maps, limit), limit)[0]
     rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
     over = np.abs(missed) - missed_rounding(limits.effort) - rub

@@ -7,7 +7,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
-from linkplan.planner.limits.efforts import EFFORT_JUMP_SHARE, holds_at_rest
+from linkplan.planner.limits.efforts import EFFORT_JUMP_SHARE, holds_at_rest, rest_jumps
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
@@ -92,9 +92,9 @@ def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Findin
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     jumps = np.abs(trajectory.acceleration_jumps())
     held = [
-        finding_of(f"efforts hold the {end} at rest", float(jumps[k].max()) / size, NO_JUMP_SHARE, "of the largest")
-        for end, k, holds in zip(("start", "goal"), (0, -1), holds_at_rest(problem), strict=True)
-        if holds
+        finding_of(f"efforts hold the {end} at rest", jump, NO_JUMP_SHARE, "of the largest")
+        for end, jump, sums in zip(("start", "goal"), rest_jumps(problem, trajectory), holds_at_rest(problem), strict=True)
+        if len(sums)
     ]
     return held + [
         finding_of(

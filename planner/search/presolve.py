@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
@@ -142,13 +143,13 @@ def _not_held(problem: Problem) -> Verdict | None:
     """Return the verdict on a start or goal at rest that limits forbid to leave with an acceleration, and no motor holds."""
     if problem.mechanism.n_equations != problem.mechanism.dof:  # along a path, whose poses another check looks at
         return None
-    smooth, columns = smooth_columns(problem), range(problem.mechanism.dof)
+    smooth = np.eye(problem.mechanism.dof)[list(smooth_columns(problem))]
     for name, held in zip(("start", "goal"), holds_at_rest(problem), strict=True):
-        still = columns if held else smooth
-        free = [column for column in columns if column not in still]
-        words = lacking_at_rest(problem.motion, problem.mechanism, problem.limits, name, free) if still else None
+        still = np.vstack([held, smooth])
+        free = scipy.linalg.null_space(still) if len(still) else None
+        words = None if free is None else lacking_at_rest(problem.motion, problem.mechanism, problem.limits, name, free)
         if words is not None:
-            why = "limits on effort rates ask for" if held else "the limit or cost on jerk asks for"
+            why = "limits on effort rates ask for" if len(held) else "the limit or cost on jerk asks for"
             return infeasible(f"{words}, and {why} no acceleration there", known_by="every motion")
     return None
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy.linalg
 
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.interval import IntervalFunctions
@@ -123,8 +124,9 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, chosen: Sc
         ends = np.stack([layout.state(layout.n_intervals)[of], layout.state(0)[of]], axis=1)
         rows.add(ends, np.tile([1.0, -1.0], (len(of), 1)), formulation.advance, formulation.advance)
     if formulation.smooth and layout.effort_coefficients > 1:
-        following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
-        pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
+        smooth = effort[:, :, list(formulation.smooth)]
+        following = np.roll(smooth[:, 0], -1, axis=0)
+        pairs = np.stack([smooth[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
         rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
     for columns, values in _accelerations_without_jumps(formulation, layout, chosen):
         rows.add(columns, values, 0.0, 0.0)
@@ -150,7 +152,8 @@ def _accelerations_without_jumps(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield columns and coefficients (n, k) of rows that are zero: accelerations with a bounded rate have no jumps.
 
-    A motion that begins or ends at rest has no jump there either: its acceleration is zero at that end.
+    A motion that begins or ends at rest has no jump there either: its acceleration is zero at that end. Where efforts hold
+    it, sums of accelerations are.
     """
     first, last = chosen.acceleration_coefficients[[0, -1]]
     speeds = slice(layout.n_s, 2 * layout.n_s)
@@ -160,11 +163,16 @@ def _accelerations_without_jumps(
         following = np.roll(at, -1, axis=0)
         pairs = np.hstack([at, following])[: None if formulation.periodic else -1]
         yield pairs, np.tile(np.concatenate([last, -first]), (len(pairs), 1))
-    for rest, holds, end, of in zip(rests, formulation.holds_at_rest, (0, -1), (first, last), strict=True):
-        held = range(layout.n_s) if holds and rest.all() else formulation.rows.smooth_columns
-        for column in () if formulation.periodic else held:
-            if rest[column]:
-                yield layout.acceleration()[[end], :, column], of[None, :]
+    smooth = list(formulation.rows.smooth_columns)
+    for k, (rest, end, of) in enumerate(zip(rests, (0, -1), (first, last), strict=True)):
+        still = np.eye(layout.n_s)[[column for column in smooth if rest[column]]]
+        if rest.all() and formulation.holds_at_rest:
+            sums = np.array(formulation.holds_at_rest[k])
+            sums[:, smooth] = 0.0  # so that no row follows from the others
+            still = np.vstack([still, scipy.linalg.orth(sums.T).T if len(sums) else sums])
+        for weights in () if formulation.periodic else still:
+            columns = np.flatnonzero(weights)
+            yield layout.acceleration()[end][:, columns].reshape(1, -1), np.outer(of, weights[columns]).reshape(1, -1)
 
 
 def _boundary_groups(formulation: Formulation, mesh: Mesh):

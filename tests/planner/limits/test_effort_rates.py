@@ -16,6 +16,16 @@ from tests.support.bodies import cart
 WAY, RATE, MASS = 0.3, 60.0, 2.0
 # A cubic course of acceleration from rest to rest, with a jerk R / m of either sign.
 LEAST = (32 * WAY * MASS / RATE) ** (1 / 3)
+# Two slides, each with its motor.
+GANTRY = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body><joint name="y" type="slide" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody>
+<actuator><motor name="mx" joint="x" ctrlrange="-40 40"/><motor name="my" joint="y" ctrlrange="-2 2"/></actuator></mujoco>"""
+# Two links under gravity, coupled by their inertia.
+ARM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body><joint name="a" axis="0 -1 0"/>
+<inertial pos="0.25 0 0" mass="2" diaginertia="0.05 0.05 0.05"/><body pos="0.5 0 0"><joint name="b" axis="0 -1 0"/>
+<inertial pos="0.2 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body></body></worldbody><actuator>
+<motor name="ma" joint="a" ctrlrange="-40 40"/><motor name="mb" joint="b" ctrlrange="-{most} {most}"/></actuator></mujoco>"""
 
 
 def reach(**limits) -> Problem:
@@ -28,6 +38,54 @@ def test_a_drive_at_rest_begins_and_ends_with_the_effort_that_holds_it():
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(LEAST, rel=1e-6)
     np.testing.assert_allclose(plan.trajectory.effort_at(np.array([0.0, plan.objective])), 0.0, atol=1e-6)
+
+
+def gantry(y_m: float, **limits) -> Problem:
+    limits = {"effort_rate": {"mx": RATE}} | limits
+    return Problem.reach(GANTRY, start_m={"x": 0.0, "y": 0.0}, goal_m={"x": WAY, "y": y_m}, minimize="time", limits=limits)
+
+
+@pytest.mark.parametrize(("y_m", "least"), [(0.1, LEAST), (0.5, 1.0)])
+def test_of_two_motors_the_one_with_a_limited_rate_begins_at_rest_and_the_other_jumps(y_m, least):
+    """The slower axis decides: 0.1 m of y take less time than 0.3 m of x, and 0.5 m take 2 sqrt(0.5 m * 1 kg / 2 N)."""
+    plan = plan_motion(gantry(y_m))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(least, rel=1e-7)
+    ends = plan.trajectory.effort_at(np.array([0.0, plan.objective]))
+    np.testing.assert_allclose(ends[:, 0], 0.0, atol=1e-6)
+    assert ends[0, 1] > 1.0
+    assert ends[1, 1] < -1.0
+    assert plan.prove(existence=False).complete
+
+
+def arm(most: float) -> Problem:
+    ends = {"start_deg": {"a": 0.0, "b": 0.0}, "goal_deg": {"a": 50.0, "b": 40.0}}
+    return Problem.reach(ARM.format(most=most), **ends, minimize="time", limits={"effort_rate": {"mb": 30.0}})
+
+
+def test_an_effort_with_a_limited_rate_holds_a_coupled_arm_against_its_weight():
+    plan = plan_motion(arm(most=12.0))
+    assert plan.status == "optimal", plan.message
+    held = 9.81 * np.array([[1.2, 0.2], [np.cos(np.radians(50.0)), 0.0]])
+    found = plan.trajectory.effort_at(np.array([0.0, plan.objective]))
+    np.testing.assert_allclose(found[:, 1], held[:, 1], atol=1e-5)
+    assert np.all(np.abs(found - held)[:, 0] > 1.0)
+
+
+def test_a_motor_with_a_limited_rate_that_cannot_hold_its_joint_has_no_motion_from_rest():
+    plan = plan_motion(arm(most=1.0))
+    assert plan.status == "infeasible"
+    assert "cannot hold the start at rest: their limits lack 0.962 N.m on joint b" in plan.message, plan.message
+
+
+def test_an_initial_effort_of_one_motor_leaves_the_other_to_hold_the_start():
+    plan = plan_motion(gantry(0.1, effort_rate={"mx": RATE, "my": 100.0}, initial_effort={"my": 1.0}))
+    assert plan.objective == pytest.approx(LEAST, rel=1e-7)
+    np.testing.assert_allclose(plan.trajectory.effort_at(np.zeros(1))[0], [0.0, 1.0], atol=1e-6)
+    other = gantry(0.1, effort_rate={"mx": 100.0, "my": RATE})
+    refuted = [one.name for one in prove(other, plan.trajectory, existence=False).of("refuted")]
+    assert "efforts hold the start at rest" in refuted
+    assert not certify(other, plan.trajectory).passed
 
 
 def falling_effort(problem: Problem) -> Trajectory:
