@@ -157,10 +157,12 @@ def start_of(
 def held_before(mechanism: Mechanism, reference: SampledReference, loop: ControlLoop) -> np.ndarray:
     """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own.
 
-    More actuators than freedoms hold it by the efforts within their limits that are nearest to the reference's first. The
-    loop's initial efforts, where they are finite, replace them.
+    More actuators than freedoms hold it by the efforts within their limits that are nearest to the reference's first, which
+    those with a limited rate have. The loop's initial efforts, where they are finite, replace them.
     """
     held, limit, given = reference.effort[0], loop.effort_limit, loop.initial_effort
+    if loop.rate_limit is not None:
+        limit = np.where(np.isfinite(loop.rate_limit)[:, None], held[:, None], limit)
     if not np.any(reference.velocity_rad_s[0]):
         still = np.zeros((1, mechanism.dof))
         pose = reference.pose_rad[:1]

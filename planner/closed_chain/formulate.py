@@ -17,7 +17,7 @@ from linkplan.planner.closed_chain.mechanics import (
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
-from linkplan.planner.limits.efforts import holds_at_rest
+from linkplan.planner.limits.efforts import end_efforts, holds_at_rest
 from linkplan.planner.limits.joints import bounds_of_state
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
@@ -138,7 +138,7 @@ def formulate(
         advance=_advance(problem, scales, returns),
         smooth=tuple(range(n_u)) if objective.is_smoothed or objective.efforts("smooth") else rows.rate_columns,
         holds_at_rest=tuple(sums * scales.position for sums in holds_at_rest(problem)),
-        initial_effort=problem.limits.initial_effort if motion.kind == "reach" else None,
+        end_efforts=end_efforts(problem) if motion.kind == "reach" else None,
         eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),
         tightening=tightening_over(tightenings, asked.rows, path) if tightenings else None,

@@ -11,10 +11,12 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 
-from linkplan.models.actuation.distribution import ZERO_ARM_SHARE
+from linkplan.models.actuation.distribution import ZERO_ARM_SHARE, missed_rounding
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.limits.bounds import EffortBounds
 from linkplan.planner.limits.limit import (
@@ -30,6 +32,7 @@ from linkplan.planner.limits.limit import (
 )
 from linkplan.planner.limits.samples import Leverage, Samples, least_between, samples_for_claims
 from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import NO_JUMP_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
@@ -172,12 +175,11 @@ class EffortRateLimit(Limit):
         actuator, bounds = at.problem.mechanism.actuators[self.item], at.problem.limits.effort_rate[self.item]
         rate, jumps = effort_rates(at.trajectory, at.time)
         values = np.where(np.isnan(jumps[:, self.item]), rate[:, self.item], jumps[:, self.item])
-        before = at.problem.limits.initial_effort[self.item, 0]
         # An effort has jumped at a start or goal at rest that it does not hold, and at a start with another effort before.
-        start, goal = (jump > NO_JUMP_SHARE for jump in rest_jumps(at.problem, at.trajectory))
-        if np.isfinite(before):
-            start = abs(at.u[0, self.item] - before) > _jump_size(at.trajectory)
-        values[[0, -1]] = np.where([start, goal], np.inf, values[[0, -1]])
+        jumped = np.array(rest_jumps(at.problem, at.trajectory)) > NO_JUMP_SHARE
+        jumped[0] &= not np.isfinite(at.problem.limits.initial_effort[self.item, 0])
+        jumped |= ends_off(at.problem, at.trajectory)[:, self.item] > _jump_size(at.trajectory)
+        values[[0, -1]] = np.where(jumped, np.inf, values[[0, -1]])
         return Measured(actuator.name, values, bounds, f"{actuator.unit}/s")
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
@@ -220,6 +222,40 @@ def _held_sums(mechanism: Mechanism, s: np.ndarray | None, holding: np.ndarray) 
     arms = np.array(mechanism.dynamics.effort_map(pose))
     unmoved = scipy.linalg.null_space(arms[:, ~holding].T, rcond=ZERO_ARM_SHARE)
     return unmoved.T @ np.array(mechanism.dynamics.reduced_inertia(pose))
+
+
+def end_efforts(problem: Problem) -> np.ndarray:
+    """Return [low, high] (2, n_u, 2) of the first and the last efforts: those that are given, and parts that hold a rest.
+
+    Where there are more actuators than freedoms, an effort with a limited rate holds a part of the weight, and those
+    without a limit must be able to hold the remainder.
+    """
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    found = np.stack([limits.initial_effort, free_bounds(mechanism.n_u)])
+    limited = np.isfinite(limits.effort_rate).any(axis=1)
+    if motion.kind != "reach" or mechanism.n_u <= mechanism.dof or limited.all() or mechanism.forces is not None:
+        return found
+    ends = (motion.start, motion.start_speed), (None if motion.goal_is_free else motion.goal, motion.goal_speed)
+    for bounds, (s, speed) in zip(found, ends, strict=True):
+        if s is None or np.isfinite(bounds).any() or (speed is not None and np.any(speed)):
+            continue
+        still = np.zeros((1, mechanism.dof))
+        (tau,), (arms,) = demanded(mechanism, close_at(mechanism, s)[None], still, still)
+        for j in np.flatnonzero(limited):
+            part = np.eye(mechanism.n_u)[j]
+            holding = [scipy.optimize.linprog(way * part, A_eq=arms, b_eq=tau, bounds=limits.effort) for way in (1, -1)]
+            if all(one.success for one in holding) and np.ptp([one.x[j] for one in holding]) > missed_rounding(
+                limits.effort
+            ):
+                bounds[j] = [one.x[j] for one in holding]  # without a span the accelerations determine it
+    return found
+
+
+def ends_off(problem: Problem, trajectory: Trajectory) -> np.ndarray:
+    """Return the distances (2, n_u) of the first and the last efforts from their bounds."""
+    low, high = np.moveaxis(end_efforts(problem), -1, 0)
+    efforts = trajectory.effort[[0, -1], [0, -1]]
+    return np.maximum(np.maximum(low - efforts, efforts - high), 0.0)
 
 
 def rest_jumps(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
-from linkplan.planner.limits.efforts import EFFORT_JUMP_SHARE, holds_at_rest, rest_jumps
+from linkplan.planner.limits.efforts import EFFORT_JUMP_SHARE, end_efforts, ends_off, holds_at_rest, rest_jumps
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
@@ -74,15 +74,20 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     """Return the findings on jumps of efforts with a limited rate, also from one period to the next and at the start."""
     ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
     before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
-    jumps, given = np.abs(ahead - before).max(axis=0, initial=0.0), problem.limits.initial_effort[:, 0]
+    jumps, given = np.abs(ahead - before).max(axis=0, initial=0.0), np.isfinite(problem.limits.initial_effort[:, 0])
     size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
-    off = np.abs(trajectory.effort[0, 0] - given)
-    found = (("the pieces of effort of {} join", jumps), ("the effort of {} begins at limits.initial_effort", off))
+    (first, last), (start, goal) = ends_off(problem, trajectory), np.isfinite(end_efforts(problem)).any(axis=2)
+    found = (
+        ("the pieces of effort of {} join", jumps, np.isfinite(problem.limits.effort_rate).any(axis=1)),
+        ("the effort of {} begins at limits.initial_effort", first, given),
+        ("the other motors can hold the start with the effort of {}", first, start & ~given),
+        ("the other motors can hold the goal with the effort of {}", last, goal),
+    )
     return [
         finding_of(name.format(actuator.name), float(of[j]) / size, EFFORT_JUMP_SHARE, "of the largest")
-        for name, of in found
+        for name, of, where in found
         for j, actuator in enumerate(problem.mechanism.actuators)
-        if np.isfinite(problem.limits.effort_rate[j]).any() and (of is jumps or np.isfinite(given[j]))
+        if where[j]
     ]
 
 

@@ -97,7 +97,7 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
         transcribed: a program.
         x: its unknowns.
         kinds: of an interval's own rows: "speed", "acceleration" and "jerk" of independent joints, "power" of actuators,
-            "motor" for lines of torque and speed.
+            "effort_rate" too, "motor" for lines of torque and speed.
     """
     arcs = [np.zeros((transcribed.program.mesh.n_intervals, 0), dtype=int)]
     for kind, values, (low, high) in _coefficients(transcribed, x):

@@ -92,7 +92,7 @@ def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.nda
     """
     motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
-    arcs = own_arcs(transcribed, x, ("motor", "acceleration", "jerk", "speed"))
+    arcs = own_arcs(transcribed, x, ("motor", "acceleration", "jerk", "speed", "effort_rate"))
     switch_times = find_switch_times(
         motion,
         target.effort_limit,

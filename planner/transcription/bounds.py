@@ -222,9 +222,9 @@ def bounds(
     if not layout.n_extra or formulation.peak is not None:
         lower[layout.effort()] = formulation.effort[:, 0] / unit
         upper[layout.effort()] = formulation.effort[:, 1] / unit
-    if formulation.initial_effort is not None:
-        place, given = layout.effort()[0, 0], formulation.initial_effort / unit[:, None]
-        lower[place], upper[place] = np.maximum(lower[place], given[:, 0]), np.minimum(upper[place], given[:, 1])
+    if formulation.end_efforts is not None:
+        place, (low, high) = layout.effort()[[0, -1], [0, -1]], np.moveaxis(formulation.end_efforts / unit[:, None], -1, 0)
+        lower[place], upper[place] = np.maximum(lower[place], low), np.minimum(upper[place], high)
     lower[layout.extra()] = 0.0
     bang = bang_coefficients(bang_efforts, mesh, layout)
     if bang is not None:
