@@ -200,14 +200,14 @@ class EffortRateLimit(Limit):
 def holds_at_rest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Return for start and goal the weights (n, n_s) of sums of accelerations that are zero if a motion rests there.
 
-    Efforts with a limited rate hold it, except initial efforts that are given; so only the other efforts accelerate it. At
-    a goal whose pose is free some efforts without a limit leave nothing determined.
+    Efforts with a limited rate hold it, except initial efforts that are given; so only the other efforts accelerate it. A
+    goal whose pose is free is held only if the rates of all efforts are limited.
     """
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
-    limited = np.isfinite(limits.effort_rate).any(axis=1)
+    limited = np.any(np.isfinite(limits.effort_rate), axis=1)
     if motion.kind != "reach" or mechanism.n_u < mechanism.dof or not limited.any():
         return np.zeros((0, mechanism.dof)), np.zeros((0, mechanism.dof))
-    given = np.isfinite(limits.initial_effort).any(axis=1)
+    given = np.any(np.isfinite(limits.initial_effort), axis=1)
     goal = None if motion.goal_is_free else motion.goal
     return _held_sums(mechanism, motion.start, limited & ~given), _held_sums(mechanism, goal, limited)
 
@@ -232,7 +232,7 @@ def end_efforts(problem: Problem) -> np.ndarray:
     """
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
     found = np.stack([limits.initial_effort, free_bounds(mechanism.n_u)])
-    limited = np.isfinite(limits.effort_rate).any(axis=1)
+    limited = np.any(np.isfinite(limits.effort_rate), axis=1)
     if motion.kind != "reach" or mechanism.n_u <= mechanism.dof or limited.all() or mechanism.forces is not None:
         return found
     ends = (motion.start, motion.start_speed), (None if motion.goal_is_free else motion.goal, motion.goal_speed)

@@ -76,7 +76,7 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
     jumps, given = np.abs(ahead - before).max(axis=0, initial=0.0), np.isfinite(problem.limits.initial_effort[:, 0])
     size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
-    (first, last), (start, goal) = ends_off(problem, trajectory), np.isfinite(end_efforts(problem)).any(axis=2)
+    (first, last), (start, goal) = ends_off(problem, trajectory), np.any(np.isfinite(end_efforts(problem)), axis=2)
     found = (
         ("the pieces of effort of {} join", jumps, np.isfinite(problem.limits.effort_rate).any(axis=1)),
         ("the effort of {} begins at limits.initial_effort", first, given),
