@@ -116,9 +116,13 @@ def is_payload_s_weight(name: str) -> bool:
     return name.startswith((f"{_PAYLOAD}.mass", f"{_PAYLOAD}.inertia"))
 
 
-def changes_forces_only(one: Parameter) -> bool:
-    """Return whether a parameter changes the forces that a motion needs, and neither poses nor actuators' moment arms."""
-    return not one.moves_pins and not any(field == "actuator_gear" for field, _ in one.entries(one.value))
+def is_affine_in_efforts(one: Parameter) -> bool:
+    """Return whether the efforts that a motion needs are affine in a parameter, the others fixed.
+
+    They are in masses, moments of inertia, armatures, damping, dry friction and springs. They are quadratic in a centre of
+    mass, and a pin, an axis or a gear changes poses or moment arms.
+    """
+    return not one.moves_pins and not any(field in ("actuator_gear", "body_ipos") for field, _ in one.entries(one.value))
 
 
 def _has_payload(model: mujoco.MjModel) -> bool:

@@ -24,7 +24,7 @@ from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.parameters import changes_forces_only
+from linkplan.models.parameters import is_affine_in_efforts
 from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
@@ -281,8 +281,8 @@ def _box(asked: ProblemFile, mechanism: Mechanism) -> tuple[tuple[str, float, fl
     """Return the parameters that [robust] names, with the ends of their ranges [SI].
 
     Raises:
-        ProblemError: for a range that does not contain the value, a name without a range, or a number that changes more than
-            the forces that a motion needs.
+        ProblemError: for a range that does not contain the value, a name without a range, or a number in which efforts are
+            not affine.
     """
     known = {one.name: one for one in mechanism.parameters}
     ranges: dict[str, tuple[float, float]] = {}
@@ -297,10 +297,10 @@ def _box(asked: ProblemFile, mechanism: Mechanism) -> tuple[tuple[str, float, fl
         if name not in ranges:
             given = f"those with one are {', '.join(ranges)}" if ranges else "none has one"
             raise ProblemError(f"robust.parameters names '{name}', which needs a range in [parameters]; {given}")
-        if not changes_forces_only(known[name]):
+        if not is_affine_in_efforts(known[name]):
             raise ProblemError(
-                f"robust.parameters names '{name}', which changes poses or moment arms: one motion of the joints serves only"
-                " machines that differ in masses, inertias, friction, damping or springs"
+                f"robust.parameters names '{name}', in which efforts are not affine, so that corners say nothing on machines"
+                " between them; legal are masses, moments of inertia, armatures, friction, damping and springs"
             )
     return tuple((name, *ranges[name]) for name in asked.robust.parameters)
 
