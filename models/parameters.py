@@ -21,7 +21,7 @@ with the kind: "actuator A.armature".
 """
 
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,19 +47,23 @@ _PAYLOAD = "payload"
 class Parameter:
     """A number of a model: its name, unit and value in SI, its least value, and the entries that it sets.
 
-    `entries` returns, for a value or its symbol, each number of the compiled model that it sets.
+    Each entry of the compiled model is affine in the parameter: `sets` has its value at zero and its slope.
     """
 
     name: str
     unit: str
     value: float
     least: float = -np.inf
-    entries: Callable[[Any], Mapping[Entry, Any]]
+    sets: Mapping[Entry, tuple[float, float]]
+
+    def entries(self, value: Any) -> dict[Entry, Any]:
+        """Return each number of the compiled model that the parameter sets, for a value or its symbol."""
+        return {entry: at_zero + slope * value for entry, (at_zero, slope) in self.sets.items()}
 
     @property
     def moves_pins(self) -> bool:
         """Whether the parameter changes where pins, axes and sites are, and with them the closed poses."""
-        return any(field in _GEOMETRY for field, _ in self.entries(self.value))
+        return any(field in _GEOMETRY for field, _ in self.sets)
 
 
 _GEOMETRY = {"body_pos", "jnt_pos", "jnt_axis", "site_pos", "eq_data"}
@@ -74,7 +78,7 @@ def parameters_of(model: mujoco.MjModel) -> dict[str, Parameter]:
     for name, of_name in found.items():
         for kind, one in of_name:
             own = name if len(of_name) == 1 else f"{kind} {name}"
-            named[own] = Parameter(name=own, unit=one.unit, value=one.value, least=one.least, entries=one.entries)
+            named[own] = Parameter(name=own, unit=one.unit, value=one.value, least=one.least, sets=one.sets)
     return named
 
 
@@ -88,7 +92,7 @@ def chosen_parameters(model: mujoco.MjModel, names: Iterable[str]) -> tuple[Para
     chosen = tuple(known[choose("parameter", name, list(known))] for name in names)
     owner: dict[Entry, str] = {}
     for one in chosen:
-        for entry in one.entries(one.value):
+        for entry in one.sets:
             if entry in owner:
                 raise ModelError(f"parameters '{owner[entry]}' and '{one.name}' set the same number of the model")
             owner[entry] = one.name
@@ -122,7 +126,7 @@ def is_affine_in_efforts(one: Parameter) -> bool:
     They are in masses, moments of inertia, armatures, damping, dry friction and springs. They are quadratic in a centre of
     mass, and a pin, an axis or a gear changes poses or moment arms.
     """
-    return not one.moves_pins and not any(field in ("actuator_gear", "body_ipos") for field, _ in one.entries(one.value))
+    return not one.moves_pins and not any(field in ("actuator_gear", "body_ipos") for field, _ in one.sets)
 
 
 def _has_payload(model: mujoco.MjModel) -> bool:
@@ -169,7 +173,7 @@ def without_values(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> mu
         return model
     model = copy.copy(model)
     for one in parameters:
-        for field, index in one.entries(one.value):
+        for field, index in one.sets:
             getattr(model, field)[index] = 1.0
     mujoco.mj_setConst(model, mujoco.MjData(model))
     model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which only the simulator uses
@@ -194,9 +198,8 @@ def _every(model: mujoco.MjModel) -> Iterator[tuple[str, Parameter]]:
 
 def _plain(model: mujoco.MjModel, name: str, unit: str, field: str, *index: int, least: float = -np.inf) -> Parameter:
     """Return the parameter that is one number of a model."""
-    entry: Entry = (field, index)
     value = float(getattr(model, field)[index])
-    return Parameter(name=name, unit=unit, value=value, least=least, entries=lambda value: {entry: value})
+    return Parameter(name=name, unit=unit, value=value, least=least, sets={(field, index): (0.0, 1.0)})
 
 
 def _axes(
@@ -279,16 +282,9 @@ def _length(model: mujoco.MjModel, body: int, name: str) -> Parameter | None:
         return None
     way = second.place - first.place
     length = float(np.linalg.norm(way))
-    starts = [
-        (field, row, start, getattr(model, field)[row][start : start + 3].copy()) for field, row, start in second.moves
-    ]
-
-    def entries(value: Any) -> Mapping[Entry, Any]:
-        share = value / length - 1
-        moved = ((field, row, start + k, at[k], way[k]) for field, row, start, at in starts for k in range(3) if way[k])
-        return {(field, (row, place)): at + share * along for field, row, place, at, along in moved}
-
-    return Parameter(name=f"{name}.length", unit="m", value=length, least=_SAME_PIN, entries=entries)
+    places = [(field, (row, start + k), way[k]) for field, row, start in second.moves for k in range(3) if way[k]]
+    sets = {(field, at): (float(getattr(model, field)[at] - along), float(along / length)) for field, at, along in places}
+    return Parameter(name=f"{name}.length", unit="m", value=length, least=_SAME_PIN, sets=sets)
 
 
 def _of_joint(model: mujoco.MjModel, joint: int) -> Iterator[Parameter]:

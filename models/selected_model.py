@@ -73,7 +73,7 @@ _OF_JOINTS = {
 def _write_parameters(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     """Write the values of a mechanism's parameters into the specification of its model."""
     model = mechanism.model
-    for field, (row, *_) in (entry for one in mechanism.parameters for entry in one.entries(one.value)):
+    for field, (row, *_) in (entry for one in mechanism.parameters for entry in one.sets):
         if field in _OF_JOINTS:
             rests = field == "qpos_spring"
             joint = int(np.flatnonzero(model.jnt_qposadr == row)[0] if rests else model.dof_jntid[row])

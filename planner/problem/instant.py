@@ -342,7 +342,7 @@ class Instant:
     def joint_loads(self) -> ca.SX:
         """The loads (6, 1 + n_pins) [N, N.m] on the frame and in the pins of the tree, by the function `joint_loads`."""
         motion = self.q, self.joint_rates, self.joint_accelerations
-        return joint_loads(self.mechanism)(*motion, self.closure_force, self.u, ca.vertcat(self.payload, self.forces))
+        return joint_loads(self.mechanism)(*motion, self.closure_force, self.u, ca.vertcat(self.parameters, self.forces))
 
     @cached_property
     def positive_powers(self) -> ca.SX:

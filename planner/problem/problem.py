@@ -220,7 +220,7 @@ class Problem:
 
         Errors within a tolerance are spread evenly; without a tolerance, three standard deviations are the worst case.
         """
-        tables = self.sections.parameters.items()
+        tables = () if self.sections is None else self.sections.parameters.items()
         given = {name: (one.tolerance, one.sd) for name, one in tables if not isinstance(one, float | int)}
         return {
             name: (3 * sd if largest is None else largest, largest / np.sqrt(3) if sd is None else sd)
