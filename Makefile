@@ -14,7 +14,7 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-# The tests of tests/long.txt, which take more than some seconds each: pages of the documents, large models.
+# The tests of tests/long.txt, which take more than about half a second each: pages of the documents, large models.
 long: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist worksteal --long
 

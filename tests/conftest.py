@@ -18,7 +18,7 @@ DRAW, LAY_OUT = Figure.savefig, figures._lay_out
 MOST_MECHANISMS = 64
 
 
-# The tests that take more than some seconds of processor time, and those that take half a minute, one in a line.
+# The tests that take more than about half a second of processor time, and those that take half a minute, one in a line.
 LISTS = {length: Path(__file__).with_name(f"{length}.txt") for length in ("long", "hardest")}
 
 
