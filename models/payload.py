@@ -42,10 +42,6 @@ class Payload:
                 f" got {self.inertia_kgm2.tolist()}"
             )
 
-    def numbers(self) -> np.ndarray:
-        """Return mass, centre of mass and moments of inertia (7,), the parameters of `symbolic`."""
-        return np.concatenate([[self.mass_kg], self.com_m, self.inertia_kgm2])
-
     def table(self) -> dict:
         """Return the payload as a table of a problem file."""
         return {
