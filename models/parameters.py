@@ -30,7 +30,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.equations import equality_name
-from linkplan.models.errors import ModelError, choose
+from linkplan.models.errors import ModelError, nearest
 from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, joints_of, tied_points
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.symbolic_model import Entry, SymbolicModel
@@ -39,6 +39,8 @@ from linkplan.models.tree.tendons import tendon_label
 
 # Pins of a link nearer to one another than this share of its size are one pin.
 _SAME_PIN = 1e-9
+# MuJoCo's least mass [kg] and moment of inertia [kg m2] of a body with joints (mjMINVAL).
+_LEAST_INERTIA = 1e-15
 # Names that the elements of a model's payload have.
 _PAYLOAD = "payload"
 
@@ -89,7 +91,7 @@ def chosen_parameters(model: mujoco.MjModel, names: Iterable[str]) -> tuple[Para
         ModelError: if the model has none of that name, or two of them set the same number.
     """
     known = parameters_of(model)
-    chosen = tuple(known[choose("parameter", name, list(known))] for name in names)
+    chosen = tuple(_named(known, name) for name in names)
     owner: dict[Entry, str] = {}
     for one in chosen:
         for entry in one.sets:
@@ -97,6 +99,20 @@ def chosen_parameters(model: mujoco.MjModel, names: Iterable[str]) -> tuple[Para
                 raise ModelError(f"parameters '{owner[entry]}' and '{one.name}' set the same number of the model")
             owner[entry] = one.name
     return chosen
+
+
+def _named(known: Mapping[str, Parameter], name: str) -> Parameter:
+    """Return one of a model's parameters.
+
+    Raises:
+        ModelError: if there is none of this name, or elements of several kinds have it.
+    """
+    if name in known:
+        return known[name]
+    several = [one for one in known if one.partition(" ")[2] == name]
+    if several:
+        raise ModelError(f"parameter '{name}' is that of several elements: write {' or '.join(map(repr, several))}")
+    raise ModelError(f"unknown parameter '{name}'{nearest(name, list(known))}; linkplan check MODEL --parameters lists all")
 
 
 def set_parameters(model: mujoco.MjModel, values: Mapping[str, float | None]) -> tuple[Parameter, ...]:
@@ -123,8 +139,8 @@ def is_payload_s_weight(name: str) -> bool:
 def is_affine_in_efforts(one: Parameter) -> bool:
     """Return whether the efforts that a motion needs are affine in a parameter, the others fixed.
 
-    They are in masses, moments of inertia, armatures, damping, dry friction and springs. They are quadratic in a centre of
-    mass, and a pin, an axis or a gear changes poses or moment arms.
+    They are in masses, moments of inertia, armatures, damping and springs. They are quadratic in a centre of mass, and a
+    pin, an axis or a gear changes poses or moment arms.
     """
     return not one.moves_pins and not any(field in ("actuator_gear", "body_ipos") for field, _ in one.sets)
 
@@ -164,7 +180,18 @@ def write_values(model: mujoco.MjModel, parameters: Sequence[Parameter], values:
                 f"body '{model.body(body).name}' is no rigid body: its largest moment exceeds the sum of the other two, got"
                 f" {model.body_inertia[body].tolist()} kg m2"
             )
+    _derive(model)
+
+
+def _derive(model: mujoco.MjModel) -> None:
+    """Compute what MuJoCo derives from the numbers of a model, except places and lengths that are numbers of their own.
+
+    MuJoCo would place the second end of each connect and weld between bodies, and the reference lengths of tendons, anew.
+    """
+    kept = {name: getattr(model, name).copy() for name in ("eq_data", "tendon_length0", "tendon_lengthspring")}
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    for name, values in kept.items():
+        getattr(model, name)[:] = values
 
 
 def without_values(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> mujoco.MjModel:
@@ -175,7 +202,7 @@ def without_values(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> mu
     for one in parameters:
         for field, index in one.sets:
             getattr(model, field)[index] = 1.0
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+    _derive(model)
     model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which only the simulator uses
     return model
 
@@ -215,9 +242,10 @@ def _of_body(model: mujoco.MjModel, body: int) -> Iterator[Parameter]:
     if not name:
         return
     if model.body_weldid[body] != 0:
-        yield _plain(model, f"{name}.mass", "kg", "body_mass", body, least=0.0)
+        least = _LEAST_INERTIA if model.body_dofnum[body] else 0.0  # of a body with joints, as MuJoCo's compiler requires
+        yield _plain(model, f"{name}.mass", "kg", "body_mass", body, least=least)
         yield from _axes(model, f"{name}.com", "m", "body_ipos", body)
-        yield from _axes(model, f"{name}.inertia", "kg m2", "body_inertia", body, least=0.0)
+        yield from _axes(model, f"{name}.inertia", "kg m2", "body_inertia", body, least=least)
     if own != BODY_NAME and not any(int(model.jnt_type[joint]) == FREE for joint in joints_of(model, body)):
         yield from _axes(model, f"{name}.pos", "m", "body_pos", body)
     length = _length(model, body, name)

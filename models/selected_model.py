@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import HINGE, tied_points
+from linkplan.models.kinematics import CONNECT, HINGE, tied_points
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
 
@@ -41,7 +41,7 @@ def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
             coupling, named = spec.equalities[closure.index], model.joint if closure.kind == "joint" else model.tendon
             coupling.name1, coupling.name2 = named(first).name, named(second).name
             coupling.data[:5] = model.eq_data[closure.index, :5]
-    for index in mechanism.shifted:
+    for index in {*mechanism.shifted, *_placed_anew(mechanism)}:
         closure, name = spec.equalities[index], model.equality(index).name or f"closure {index}"
         for end, (body, place) in enumerate(tied_points(model, index), 1):
             on = spec.body(model.body(body).name) if body else spec.worldbody
@@ -68,6 +68,16 @@ _ELEMENTS = {
 _OF_JOINTS = {
     "dof_armature": "armature", "dof_damping": "damping", "dof_frictionloss": "frictionloss", "qpos_spring": "springref",
 }  # fmt: skip
+
+
+def _placed_anew(mechanism: Mechanism) -> list[int]:
+    """Return the connects between bodies whose second end the compiler would place anew, as if parameters moved it."""
+    model = mechanism.model
+    if not any(one.moves_pins for one in mechanism.parameters):
+        return []
+    of_bodies = [one.index for one in mechanism.closures if one.kind == "point" and one.index < model.neq]
+    kind = int(mujoco.mjtObj.mjOBJ_SITE)
+    return [k for k in of_bodies if int(model.eq_type[k]) == CONNECT and int(model.eq_objtype[k]) != kind]
 
 
 def _write_parameters(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:

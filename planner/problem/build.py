@@ -24,7 +24,7 @@ from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.parameters import is_affine_in_efforts
+from linkplan.models.parameters import is_affine_in_efforts, is_payload_s_weight
 from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
@@ -108,6 +108,7 @@ def values_of(
         tables["mechanism"] = table_of(mechanism)
         if named := parameters_of(mechanism) | tables.get("parameters", {}):
             tables["parameters"] = named
+            _refuse_two_values(tables["mechanism"], named)
             if (values := parameter_values(named)) != parameter_values(parameters_of(mechanism)):
                 mechanism = mechanism.with_parameters(values)
     refuse_unknown_keys(tables)
@@ -255,6 +256,7 @@ def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, 
 
 def _mechanism(section: dict, folder: Path | None, parameters: Mapping[str, Any]) -> Mechanism:
     asked, selection = _model_asked(section, folder)
+    _refuse_two_values(section, parameters)
     mechanism = load_mechanism(
         section["model"],
         payload=section.get("payload"),
@@ -269,6 +271,14 @@ def _mechanism(section: dict, folder: Path | None, parameters: Mapping[str, Any]
     joint_values(asked, "home", "mechanism", mechanism)  # raises an error for degrees on a slide and metres on a hinge
     named = {"parameters": dict(parameters)} if parameters else {}
     return replace(mechanism, source=asked.replace(model=section["model"]).to_dict() | named)
+
+
+def _refuse_two_values(section: Mapping[str, Any], parameters: Mapping[str, Any]) -> None:
+    """Refuse a number of an actuator that [mechanism] and [parameters] both set."""
+    for key, quantity in (("gear", "gear"), ("rotor_inertia", "armature")):
+        for name in section.get(key, {}):
+            if f"{name}.{quantity}" in parameters or f"actuator {name}.{quantity}" in parameters:
+                raise ProblemError(f"mechanism.{key} and parameters.'{name}.{quantity}' set the same number; keep one")
 
 
 def parameter_values(tables: Mapping[str, Any]) -> dict[str, float | None]:
@@ -293,14 +303,21 @@ def _box(asked: ProblemFile, mechanism: Mechanism) -> tuple[tuple[str, float, fl
         if not low <= value <= high:
             raise ProblemError(f"parameters.'{name}'.range must contain the value {value:.6g}, got [{low:g}, {high:g}]")
         ranges[name] = (low, high)
-    for name in asked.robust.parameters:
+    named = asked.robust.parameters
+    for name in named:
         if name not in ranges:
             given = f"those with one are {', '.join(ranges)}" if ranges else "none has one"
             raise ProblemError(f"robust.parameters names '{name}', which needs a range in [parameters]; {given}")
+        if named.count(name) > 1:
+            raise ProblemError(f"robust.parameters names '{name}' twice")
+        if is_payload_s_weight(name) and tuple(asked.robust.payload_factor) != (1.0, 1.0):
+            raise ProblemError(f"robust.payload_factor and robust.parameters both vary '{name}'; keep one")
+        if name.endswith(".friction"):
+            raise ProblemError(f"robust.parameters names '{name}'; ranges of dry friction are robust.coulomb_friction")
         if not is_affine_in_efforts(known[name]):
             raise ProblemError(
                 f"robust.parameters names '{name}', in which efforts are not affine, so that corners say nothing on machines"
-                " between them; legal are masses, moments of inertia, armatures, friction, damping and springs"
+                " between them; legal are masses, moments of inertia, armatures, damping and springs"
             )
     return tuple((name, *ranges[name]) for name in asked.robust.parameters)
 

@@ -104,9 +104,9 @@ def tolerances_along(path: KinematicLoopPath, mechanism: Mechanism, errors: Mapp
     y = sampled(quantities, path.poses, values)[:, :, 0]
     errs = np.abs(found[:, len(unit) :]) @ np.array([tolerance for tolerance, _ in errors.values()])
     near = np.any(errs > 0.5 * np.abs(y[:, len(unit) :]), axis=1)
-    noise = ROUNDING_SHARE * np.maximum(
-        np.abs(y[~near]).max(axis=0, initial=0.0), np.abs(found[~near]).max(axis=(0, 2), initial=0.0)
-    )
+    sizes = np.maximum(np.abs(y[~near]).max(axis=0, initial=0.0), np.abs(found[~near]).max(axis=(0, 2), initial=0.0))
+    kinds = np.array([*unit.values(), *(["determinant"] * (len(sizes) - len(unit)))])
+    noise = ROUNDING_SHARE * np.array([sizes[kinds == kind].max() for kind in kinds])  # rounding of the largest of its unit
     found = np.where(np.abs(found) > noise[None, :, None], found, 0.0)
     found[near] = np.nan
     of = mechanism.independent_joints
@@ -176,13 +176,18 @@ def tolerance_blocks(found: Tolerances) -> list[Block]:
         where = [float(found.position[one][at]) for one in moved]
         rows.append([name, unit, float(worst[at]), float(rms[at]), float(np.sqrt(np.nanmean(rms**2))), *where, causes])
     title = f"Errors by tolerances along {found.path}: worst case, and standard deviation there and over the path"
+    n = len(next(iter(found.position.values())))
+    if found.n_near_singular == n:
+        return [
+            Text(text=f"{title}: not given, since errors within these tolerances are not small at any pose", tone="note")
+        ]
     if not rows:
         return [Text(text=f"{title}: none of the tolerances moves anything", tone="note")]
     heads = [("quantity", ""), ("unit", ""), ("worst case", ""), ("sd there", ""), ("rms sd", "")]
     heads += [(f"worst at {one}", found.units[one]) for one in moved]
     blocks: list[Block] = [table_of(title, [*heads, ("causes of the worst case", "")], rows)]
     if found.n_near_singular:
-        text = f"{found.n_near_singular} of {len(next(iter(found.position.values())))} poses are left out: there, near a"
+        text = f"{found.n_near_singular} of {n} poses are left out: there, near a"
         blocks.append(Text(text=f"{text} singular pose, errors within the tolerances are not small", tone="note"))
     return blocks
 

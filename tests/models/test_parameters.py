@@ -10,6 +10,7 @@ from linkplan.models.errors import LinkplanError, ModelError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.parameters import parameters_of
+from linkplan.models.selected_model import whole_model_text
 
 FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><site name="s0" pos="0 0.01 0"/>
   <body name="near" pos="0 0 0"><joint name="k" axis="0 1 0" damping="0.01" stiffness="0.2" frictionloss="0.01"/>
@@ -112,7 +113,8 @@ def test_a_slider_crank_s_slopes_are_those_of_the_textbook():
     ("parameters", "said"),
     [
         ({"crank.weight": 1.0}, "unknown parameter 'crank.weight'"),
-        ({"crank.mass": -1.0}, "'crank.mass' must be a number of at least 0 kg, got -1"),
+        ({"crank.mass": 0.0}, "'crank.mass' must be a number of at least 1e-15 kg, got 0"),
+        ({"O.pos_x": 0.0}, "'O.pos_x' is that of several elements: write 'joint O.pos_x' or 'site O.pos_x'"),
         ({"crank.length": 0.06, "coupler.pos_z": 0.06}, "'crank.length' and 'coupler.pos_z' set the same number"),
         ({"crank.inertia_x": 1.0}, "body 'crank' is no rigid body"),
         ({"crank.length": 5.0}, "does not close"),
@@ -121,6 +123,28 @@ def test_a_slider_crank_s_slopes_are_those_of_the_textbook():
 def test_values_that_no_machine_has_are_refused(parameters, said):
     with pytest.raises(LinkplanError, match=said.replace("(", r"\(")):
         load_mechanism("optimus-knee", parameters=parameters)
+
+
+ANCHORED = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="A" axis="0 -1 0"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.1"/><body name="b" pos="0 0 0.1"><joint name="B" axis="0 -1 0"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.3 0 0"/></body></body>
+<body name="c" pos="0.3 0 0"><joint name="C" axis="0 -1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.1"/></body>
+</worldbody><equality><connect name="P" body1="b" body2="c" anchor="0.3 0 0"/></equality>
+<actuator><motor name="m" joint="A" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_only_the_link_s_own_end_of_a_connect_between_bodies_moves():
+    # MuJoCo's compiler and mj_setConst place the other end anew; its link would change its length, too.
+    known = parameters_of(load_mechanism(ANCHORED).model)
+    longer = load_mechanism(ANCHORED, parameters={"b.length": 0.31})
+    after = parameters_of(longer.model)
+    assert after["b.length"].value == pytest.approx(0.31, abs=1e-15)
+    assert after["c.length"].value == known["c.length"].value
+    compared(load_mechanism(ANCHORED, parameters={"b.length": None}), longer, {"b.length": 0.31}, np.random.default_rng(0))
+    written = load_mechanism(whole_model_text(longer))
+    of_both = [parameters_of(one.model) for one in (longer, written)]
+    for name in ("a.length", "b.length", "c.length"):
+        assert of_both[1][name].value == pytest.approx(of_both[0][name].value, abs=1e-15)
 
 
 def test_every_built_in_model_lists_its_numbers():

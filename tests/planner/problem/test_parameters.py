@@ -82,6 +82,18 @@ def test_a_box_of_named_numbers_costs_what_its_dearest_corner_costs():
             {"parameters": {"crank.com_z": {"range": [0.0, 0.1]}}, "robust": {"parameters": ["crank.com_z"]}},
             r"in which efforts are not affine",
         ),
+        (
+            {"parameters": {"act_O.gear": 2.0}, "gear": {"act_O": 3.0}},
+            r"mechanism.gear and parameters.'act_O.gear' set the same number; keep one",
+        ),
+        (
+            {"parameters": {"crank.mass": {"range": [0.03, 0.04]}}, "robust": {"parameters": ["crank.mass"] * 2}},
+            r"robust.parameters names 'crank.mass' twice",
+        ),
+        (
+            {"parameters": {"O.friction": {"range": [0.0, 0.1]}}, "robust": {"parameters": ["O.friction"]}},
+            r"ranges of dry friction are robust.coulomb_friction",
+        ),
     ],
 )
 def test_what_no_machine_has_is_refused(more, said):

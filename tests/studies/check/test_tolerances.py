@@ -61,6 +61,10 @@ def test_poses_near_a_singular_one_are_left_out_and_said():
     assert "1 of 170 poses are left out" in str(found)
 
 
+def test_tolerances_as_large_as_the_links_are_said_to_be_too_large():
+    assert "not small at any pose" in str(linkplan.check("optimus-knee", tolerance={"*.length": 5.0}))
+
+
 def test_the_tolerances_of_a_problem_are_those_of_its_parameters():
     problem = linkplan.Problem.reach(
         "optimus-knee",
