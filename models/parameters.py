@@ -112,7 +112,7 @@ def _named(known: Mapping[str, Parameter], name: str) -> Parameter:
     several = [one for one in known if one.partition(" ")[2] == name]
     if several:
         raise ModelError(f"parameter '{name}' is that of several elements: write {' or '.join(map(repr, several))}")
-    raise ModelError(f"unknown parameter '{name}'{nearest(name, list(known))}; linkplan check MODEL --parameters lists all")
+    raise ModelError(f"unknown parameter '{name}'{nearest(name, list(known))}; `check` with `parameters` lists all")
 
 
 def set_parameters(model: mujoco.MjModel, values: Mapping[str, float | None]) -> tuple[Parameter, ...]:

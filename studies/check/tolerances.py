@@ -82,7 +82,7 @@ def with_tolerances(
         if not names:
             raise ProblemError(
                 f"tolerance of '{pattern}': no number of '{mechanism.name}' has this name{nearest(pattern, list(known))};"
-                " linkplan check MODEL --parameters lists them"
+                " `check` with `parameters` lists them"
             )
         if not (np.isfinite(tolerance) and tolerance > 0):
             raise ProblemError(f"tolerance of '{pattern}' must be a positive number, got {tolerance!r}")

@@ -70,7 +70,7 @@ def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     path = tmp_path / "locked.xml"
     path.write_text(locked(), encoding="utf-8")
     ends = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 30.0}}
-    plan = plan_motion(Problem.reach(path, **ends, duration_s=0.5))
+    plan = plan_motion(Problem.reach(path, **ends, duration_s=0.5, tracking={"kp": 200.0, "kd": 1.0}))
     assert plan.require().certificate.passed
     rollout = track(plan, "pd+ff")
     assert np.degrees(np.abs(rollout.position_rad - rollout.reference_rad).max()) < TRACKED_DEG

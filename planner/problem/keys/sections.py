@@ -237,7 +237,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
         default=RobustSection(),
     )
     parameters: Annotated[dict[str, kinds.Number | ParameterTable], _PARAMETERS] = by_name(
-        "numbers of the model by name (linkplan check MODEL --parameters): values, ranges, tolerances",
+        "numbers of the model by name, which `check` with `parameters` lists: values, ranges, tolerances",
         otherwise="none: every number is a constant",
     )
     motors: Annotated[dict[str, MotorTable], _MOTORS] = by_name(
