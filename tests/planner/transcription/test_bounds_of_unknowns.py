@@ -106,7 +106,7 @@ def rows_of(problem: Formulation, mesh: Mesh) -> tuple[Layout, np.ndarray, np.nd
 @pytest.mark.parametrize("periodic", [False, True])
 def test_efforts_without_jumps_end_an_interval_where_they_begin_the_next(periodic):
     layout, rows, low, high = rows_of(
-        formulation(boundary(), boundary(), smooth=True, returns=(0, 1) if periodic else ()), uniform(3)
+        formulation(boundary(), boundary(), smooth=(0,), returns=(0, 1) if periodic else ()), uniform(3)
     )
     effort, x = layout.effort()[:, :, 0], np.zeros(layout.size)
     x[effort] = [[1.0, 9.0, 2.0], [2.0, 9.0, 5.0], [5.5, 9.0, 3.0]]
