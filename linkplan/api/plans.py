@@ -67,8 +67,7 @@ def plan(
     say, begun, asked = listener(progress), time.process_time(), given_problem(problem)
     if sensitivities and not asked.mechanism.parameters:
         raise ProblemError(
-            "sensitivities are by numbers of the machine: name them in [parameters]; `check` with `parameters` lists"
-            " them"
+            "sensitivities are by numbers of the machine: name them in [parameters]; `check` with `parameters` lists them"
         )
     found = plan_motion(asked, say)
     found = with_price(found, price_of(found, say))
