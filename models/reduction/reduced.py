@@ -220,7 +220,7 @@ def reduce_tree(
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         tree_effort=function("tree_effort", [q, qd, qdd], without - tree.friction),
-        equations=function("equations", [q, qd, qdd, mu, u], *closing, (held - forces)[bound], (forces - held)[free]),
+        equations=function("equations", [q, qd, qdd, mu, u], *closing, (held - forces)[bound, :], (forces - held)[free, :]),
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         tendon_length=function("tendon_length", [q], limited),

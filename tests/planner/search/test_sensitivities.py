@@ -1,4 +1,4 @@
-"""Slopes of optima by numbers of the machine, against optima of changed machines."""
+"""Slopes of an optimal objective by numbers of the machine, against plans of machines with other numbers."""
 
 import pytest
 
@@ -50,6 +50,17 @@ def test_a_least_time_of_one_motor_has_slopes_although_it_needs_no_program():
         assert one.slope == pytest.approx(plan.objective / (2 * 2.5), rel=1e-5)
     assert "b.mass" in str(plan)
     assert plan.to_dict()["details"]["slope by b.mass"] == pytest.approx(plan.objective / 5, rel=1e-5)
+
+
+def test_along_a_path_there_are_no_slopes_and_the_plan_says_so():
+    text = """<mujoco><worldbody><body name="a"><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/>
+    <site name="tool"/></body></worldbody><actuator><motor joint="x" ctrlrange="-10 10"/></actuator></mujoco>"""
+    path = {"site": "tool", "points": [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]}
+    problem = linkplan.Problem.follow(text, path=path, duration_s=1.0, parameters={"a.mass": {}})
+    plan = with_sensitivities(plan_motion(problem))
+    assert plan.objective == pytest.approx(12 * (2 * 0.2) ** 2)  # of a single coordinate, whose equations have no loop
+    assert not sensitivities_of(plan)
+    assert "no sensitivities: along a path" in plan.message
 
 
 def test_a_tolerance_says_its_effect():
