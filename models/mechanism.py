@@ -37,7 +37,7 @@ from linkplan.models.foreign.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
-from linkplan.models.parameters import Parameter, set_parameters, with_symbols, without_values
+from linkplan.models.parameters import Parameter, is_of_forces, set_parameters, with_symbols, without_values
 from linkplan.models.payload import Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.selection import Selection, home_qpos
@@ -184,7 +184,7 @@ class Mechanism:
     def fingerprint(self, *, parameters_apart: bool = False) -> str:
         """Return a hash of the compiled model and of the choice of coordinates, which determine the reduced dynamics.
 
-        With `parameters_apart` the hash does not depend on the parameters' values, like `parametric_dynamics`.
+        With `parameters_apart` the hash does not depend on the values of parameters that change forces only.
         """
         return _fingerprint(self, parameters_apart)
 
@@ -223,23 +223,17 @@ class Mechanism:
 
             longer = linkplan.load_mechanism("optimus-knee").with_parameters({"coupler.length": 0.0742})
         """
-        asked, speed = self.source, self.source.get("friction_transition_deg_s")
-        home = {name: np.radians(angle) for name, angle in asked.get("home_deg", {}).items()} | asked.get("home_m", {})
-        own = {one.name: one.value for one in self.parameters if one.name in asked.get("parameters", {})}
-        found = load_mechanism(
-            asked["model"],
-            payload=self.payload,
-            home=home or None,
-            independent=asked.get("independent"),
-            solref=asked.get("solref"),
-            closure_tolerance_m=asked.get("closure_tolerance_m"),
-            friction_transition=None if speed is None else np.radians(speed),
-            selection=self.selection,
-            parameters=own | dict(values),
-        )
-        tables = {name: found.source["parameters"][name] for name in values} if values else {}
-        named = {**asked.get("parameters", {}), **tables}
-        return replace(found, forces=self.forces, source={**asked, "parameters": named})
+        asked, named = self.source, dict(self.source.get("parameters", {}))
+        own = {one.name: one.value for one in self.parameters if one.name in named}
+        further = {"payload": self.payload, "selection": self.selection, "parameters": own | dict(values)}
+        found = load_mechanism(asked["model"], **further, **loading_arguments(asked))
+        for name, value in values.items():
+            before = named.get(name)  # a table keeps its range and tolerance
+            named[name] = {**before, "value": value} if isinstance(before, Mapping) and value is not None else value
+        source = {**asked, "parameters": named}
+        if isinstance(asked.get("payload"), Mapping) and found.payload is not None:
+            source["payload"] = found.payload.table()
+        return replace(found, forces=self.forces, source=source)
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
@@ -305,9 +299,11 @@ def _unpickled(content: bytes) -> Mechanism:
 
 @functools.lru_cache(maxsize=64)
 def _fingerprint(mechanism: Mechanism, parameters_apart: bool) -> str:
-    apart = mechanism.parameters if parameters_apart else ()
+    # Pins, axes and gears stand in limits and bounds as constants, too.
+    apart = [one for one in mechanism.parameters if is_of_forces(one)] if parameters_apart else []
     digest = hashlib.sha256(compiled_bytes(without_values(mechanism.model, apart)))
-    digest.update(repr([one.name for one in apart]).encode())
+    if parameters_apart:
+        digest.update(repr([one.name for one in mechanism.parameters]).encode())
     for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
         digest.update(choice.tobytes() + b"|")
     digest.update(np.float64(mechanism.friction_transition).tobytes())
@@ -343,6 +339,16 @@ def _parametric(mechanism: Mechanism) -> ReducedDynamics:
 def _forced(mechanism: Mechanism) -> ReducedDynamics:
     """Return the dynamics of a mechanism with forces over time, which are their only parameters."""
     return with_numbers(_parametric(mechanism), mechanism.parameter_values)
+
+
+def loading_arguments(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `load_mechanism` for the pose and the loops, from the keys of a table [mechanism]."""
+    speed = table.get("friction_transition_deg_s")
+    return {
+        "home": {name: np.radians(angle) for name, angle in table.get("home_deg", {}).items()} | table.get("home_m", {}),
+        "friction_transition": None if speed is None else np.radians(speed),
+        **{key: table.get(key) for key in ("independent", "solref", "closure_tolerance_m")},
+    }
 
 
 @one_thread_at_a_time
@@ -382,6 +388,7 @@ def load_mechanism(
     payload = payload_from(payload)
     name, model, left_out = compile_model(source, payload, selection, changes=bool(parameters))
     varied = set_parameters(model, parameters or {})
+    payload = None if payload is None else payload.as_in(model)
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")

@@ -23,7 +23,7 @@ with the kind: "actuator A.armature".
 import copy
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import mujoco
@@ -136,13 +136,18 @@ def is_payload_s_weight(name: str) -> bool:
     return name.startswith((f"{_PAYLOAD}.mass", f"{_PAYLOAD}.inertia"))
 
 
+def is_of_forces(one: Parameter) -> bool:
+    """Return whether a parameter changes the forces that a motion needs, and neither poses nor moment arms."""
+    return not one.moves_pins and not any(field == "actuator_gear" for field, _ in one.sets)
+
+
 def is_affine_in_efforts(one: Parameter) -> bool:
     """Return whether the efforts that a motion needs are affine in a parameter, the others fixed.
 
     They are in masses, moments of inertia, armatures, damping and springs. They are quadratic in a centre of mass, and a
     pin, an axis or a gear changes poses or moment arms.
     """
-    return not one.moves_pins and not any(field in ("actuator_gear", "body_ipos") for field, _ in one.sets)
+    return is_of_forces(one) and not any(field == "body_ipos" for field, _ in one.sets)
 
 
 def _has_payload(model: mujoco.MjModel) -> bool:
@@ -154,7 +159,7 @@ def with_symbols(model: mujoco.MjModel, parameters: Sequence[Parameter], symbols
     entries: dict[Entry, ca.SX] = {}
     for one, symbol in zip(parameters, ca.vertsplit(symbols), strict=True):
         entries |= {entry: ca.SX(value) for entry, value in one.entries(symbol).items()}
-    return SymbolicModel(model, entries)  # type: ignore[return-value]  # it reads like a compiled model
+    return cast("mujoco.MjModel", SymbolicModel(model, entries))  # it is read like a compiled model
 
 
 def write_values(model: mujoco.MjModel, parameters: Sequence[Parameter], values: Sequence[float]) -> None:

@@ -42,6 +42,11 @@ class Payload:
                 f" got {self.inertia_kgm2.tolist()}"
             )
 
+    def as_in(self, model: mujoco.MjModel) -> "Payload":
+        """Return the payload with the numbers that it has in a compiled model."""
+        body = model.body(BODY_NAME)
+        return replace(self, mass_kg=float(body.mass[0]), com_m=body.ipos, inertia_kgm2=body.inertia)
+
     def table(self) -> dict:
         """Return the payload as a table of a problem file."""
         return {

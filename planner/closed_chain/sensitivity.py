@@ -1,4 +1,4 @@
-"""The slopes of an optimum by the parameters of its mechanism, from the multipliers of the solved program.
+"""The slopes of an optimal objective by the parameters of the mechanism, from the multipliers of the solved program.
 
 At an optimum of min f(x, p) with rows g(x, p) between bounds that do not depend on p, the envelope theorem gives
 
@@ -21,15 +21,13 @@ from linkplan.planner.transcription.program import gather
 from linkplan.planner.transcription.system import System
 
 
-def parameter_slopes(solution: Solution, n_forces: int, n_parameters: int) -> np.ndarray:
-    """Return the slopes (n_parameters,) of an optimum's objective [its SI unit per SI unit of the parameter].
+def parameter_slopes(solution: Solution) -> np.ndarray:
+    """Return the slopes (n,) of an optimum's objective by the n parameters of its program's mechanism [SI].
 
     Args:
         solution: a converged one, with multipliers.
-        n_forces: number of the forces over time, which come after the parameters among those of a node.
-        n_parameters: number of the mechanism's parameters.
     """
-    transcribed, x = solution.transcribed, solution.x
+    transcribed, x, mechanism = solution.transcribed, solution.x, solution.transcribed.origin.mechanism
     assert solution.multipliers is not None
     program, interval = transcribed.program, transcribed.program.interval
     mesh, n, m, n_open = program.mesh, program.mesh.n_intervals, interval.n_nodes, interval.n_open_ends
@@ -46,8 +44,9 @@ def parameter_slopes(solution: Solution, n_forces: int, n_parameters: int) -> np
     weights = np.zeros((n, m + n_open, n_f + 1))
     weights[:, :m, :n_f], weights[:, :m, n_f] = at_nodes, running
     weights[:, m:, of_ends] = lam[:, m * n_f :].reshape(n, n_open, len(of_ends))
-    last = system.n_theta - n_forces
-    slope = _slopes(system, last - n_parameters, last)
+    # The forces over time come last among a node's parameters, after those of the mechanism.
+    last = system.n_theta - (0 if mechanism.forces is None else 3 * len(mechanism.forces.sites))
+    slope = _slopes(system, last - len(mechanism.parameters), last)
     columns = [one.reshape(n * (m + n_open), -1).T for one in (points, theta[:, :, : system.n_theta], weights)]
     each = np.array(slope.map(columns[0].shape[1])(*columns))
     return transcribed.objective_scale * each.sum(axis=1)

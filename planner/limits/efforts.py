@@ -198,10 +198,10 @@ class EffortRateLimit(Limit):
 
 
 def holds_at_rest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return for start and goal the weights (n, n_s) of sums of accelerations that are zero if a motion rests there.
+    """Return for start and goal the weighted sums of accelerations, as weights (n, n_s), that are zero there at rest.
 
-    Efforts with a limited rate hold it, except initial efforts that are given; so only the other efforts accelerate it. A
-    goal whose pose is free is held only if the rates of all efforts are limited.
+    An effort with a limited rate holds a rest, except an initial effort that is given, so that only the other efforts
+    accelerate the mechanism. A goal whose pose is free is held only if the rates of all efforts are limited.
     """
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
     limited = np.any(np.isfinite(limits.effort_rate), axis=1)
@@ -213,7 +213,7 @@ def holds_at_rest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _held_sums(mechanism: Mechanism, s: np.ndarray | None, holding: np.ndarray) -> np.ndarray:
-    """Return the weights (n, n_s) of sums of accelerations at s (n_s,) that are zero if the actuators (n_u,) hold."""
+    """Return the sums of accelerations, as weights (n, n_s), that are zero at s (n_s,) if some actuators (n_u,) hold it."""
     if holding.all():
         return np.eye(mechanism.dof)
     if s is None or not holding.any():
@@ -259,7 +259,7 @@ def ends_off(problem: Problem, trajectory: Trajectory) -> np.ndarray:
 
 
 def rest_jumps(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return the accelerations at the start and to the goal that held efforts forbid, as shares of the largest one."""
+    """Return the accelerations at start and goal that efforts which hold there forbid, as shares of the largest one."""
     ends = trajectory.acceleration_jumps()[[0, -1]]
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     start, goal = (

@@ -23,8 +23,7 @@ from msgspec import structs
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError, nearest
-from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.parameters import is_affine_in_efforts, is_payload_s_weight
+from linkplan.models.mechanism import Mechanism, load_mechanism, loading_arguments
 from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
@@ -41,13 +40,19 @@ from linkplan.planner.problem.keys.sections import (
     MechanismSection,
     MotionSection,
     ObjectiveSection,
-    ParameterTable,
     ProblemFile,
     TrackingSection,
 )
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_from, motors_of, pin_or_closure
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.parameters import (
+    box_of,
+    parameter_values,
+    ranges_of,
+    read_parameters,
+    refuse_two_values,
+)
 from linkplan.planner.problem.path import path_rows, site_path_of
 from linkplan.planner.problem.reference import Reference, guess_of, reference_of, repeats_in
 from linkplan.planner.problem.settings import (
@@ -108,9 +113,10 @@ def values_of(
         tables["mechanism"] = table_of(mechanism)
         if named := parameters_of(mechanism) | tables.get("parameters", {}):
             tables["parameters"] = named
-            _refuse_two_values(tables["mechanism"], named)
+            refuse_two_values(tables["mechanism"], named)
             if (values := parameter_values(named)) != parameter_values(parameters_of(mechanism)):
                 mechanism = mechanism.with_parameters(values)
+            mechanism = replace(mechanism, source={**mechanism.source, "parameters": named})
     refuse_unknown_keys(tables)
     if mechanism is None:
         mechanism = _mechanism(tables.setdefault("mechanism", {}), folder, tables.get("parameters", {}))
@@ -152,7 +158,7 @@ def values_of(
         "path": path,
         "objective": objective,
         "limits": limits,
-        "robust": Robust(**structs.asdict(asked.robust), box=_box(asked, mechanism)),
+        "robust": Robust(**structs.asdict(asked.robust), box=box_of(asked, mechanism)),
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
         "guess": guess,
@@ -256,70 +262,13 @@ def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, 
 
 def _mechanism(section: dict, folder: Path | None, parameters: Mapping[str, Any]) -> Mechanism:
     asked, selection = _model_asked(section, folder)
-    _refuse_two_values(section, parameters)
-    mechanism = load_mechanism(
-        section["model"],
-        payload=section.get("payload"),
-        home={name: np.radians(angle) for name, angle in asked.home_deg.items()} | asked.home_m,
-        independent=asked.independent,
-        solref=asked.solref,
-        closure_tolerance_m=asked.closure_tolerance_m,
-        selection=selection,
-        friction_transition=np.radians(asked.friction_transition_deg_s),
-        parameters=parameter_values(parameters),
-    )
+    refuse_two_values(section, parameters)
+    own = {"payload": section.get("payload"), "selection": selection, "parameters": parameter_values(parameters)}
+    mechanism = load_mechanism(section["model"], **own, **loading_arguments(asked.to_dict()))
+    ranges_of(read_parameters(parameters), mechanism)
     joint_values(asked, "home", "mechanism", mechanism)  # raises an error for degrees on a slide and metres on a hinge
     named = {"parameters": dict(parameters)} if parameters else {}
     return replace(mechanism, source=asked.replace(model=section["model"]).to_dict() | named)
-
-
-def _refuse_two_values(section: Mapping[str, Any], parameters: Mapping[str, Any]) -> None:
-    """Refuse a number of an actuator that [mechanism] and [parameters] both set."""
-    for key, quantity in (("gear", "gear"), ("rotor_inertia", "armature")):
-        for name in section.get(key, {}):
-            if f"{name}.{quantity}" in parameters or f"actuator {name}.{quantity}" in parameters:
-                raise ProblemError(f"mechanism.{key} and parameters.'{name}.{quantity}' set the same number; keep one")
-
-
-def parameter_values(tables: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the values [SI] of the parameters of a table [parameters], None where the model's own is kept."""
-    found = {name: given.get("value") if isinstance(given, Mapping) else given for name, given in tables.items()}
-    return {name: value if isinstance(value, int | float) else None for name, value in found.items()}
-
-
-def _box(asked: ProblemFile, mechanism: Mechanism) -> tuple[tuple[str, float, float], ...]:
-    """Return the parameters that [robust] names, with the ends of their ranges [SI].
-
-    Raises:
-        ProblemError: for a range that does not contain the value, a name without a range, or a number in which efforts are
-            not affine.
-    """
-    known = {one.name: one for one in mechanism.parameters}
-    ranges: dict[str, tuple[float, float]] = {}
-    for name, table in asked.parameters.items():
-        if not isinstance(table, ParameterTable) or table.range is None:
-            continue
-        (low, high), value = table.range, known[name].value
-        if not low <= value <= high:
-            raise ProblemError(f"parameters.'{name}'.range must contain the value {value:.6g}, got [{low:g}, {high:g}]")
-        ranges[name] = (low, high)
-    named = asked.robust.parameters
-    for name in named:
-        if name not in ranges:
-            given = f"those with one are {', '.join(ranges)}" if ranges else "none has one"
-            raise ProblemError(f"robust.parameters names '{name}', which needs a range in [parameters]; {given}")
-        if named.count(name) > 1:
-            raise ProblemError(f"robust.parameters names '{name}' twice")
-        if is_payload_s_weight(name) and tuple(asked.robust.payload_factor) != (1.0, 1.0):
-            raise ProblemError(f"robust.payload_factor and robust.parameters both vary '{name}'; keep one")
-        if name.endswith(".friction"):
-            raise ProblemError(f"robust.parameters names '{name}'; ranges of dry friction are robust.coulomb_friction")
-        if not is_affine_in_efforts(known[name]):
-            raise ProblemError(
-                f"robust.parameters names '{name}', in which efforts are not affine, so that corners say nothing on machines"
-                " between them; legal are masses, moments of inertia, armatures, damping and springs"
-            )
-    return tuple((name, *ranges[name]) for name in asked.robust.parameters)
 
 
 def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], folder: Path | None) -> Mechanism:

@@ -100,8 +100,7 @@ class Robust(RobustSection, frozen=True, eq=False):
         named = [[(name, end) for end in sorted({low, high})] for name, low, high in self.box]
         found = itertools.product(*factors, itertools.product(*choices), itertools.product(*named))
         corners = (Corner(payload_factor=p, torque_factor=k, friction=one, named=at) for p, k, one, at in found)
-        nominal = lambda one: (one.payload_factor, one.torque_factor) == (1.0, 1.0) and not _rubs(one)  # noqa: E731
-        return tuple(one for one in corners if one.named or not nominal(one))
+        return tuple(one for one in corners if one.changes_parameters or one.torque_factor != 1.0 or _rubs(one))
 
 
 def _rubs(corner: Corner) -> bool:

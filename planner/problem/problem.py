@@ -23,6 +23,7 @@ from linkplan.planner.problem.keys.sections import ProblemFile
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, start_pose
 from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.parameters import parameter_values, read_parameters
 from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking, to_toml_types
@@ -216,17 +217,9 @@ class Problem:
 
     @property
     def tolerances(self) -> dict[str, tuple[float, float]]:
-        """The tolerance and the standard deviation [SI] of the parameters that have one of them.
-
-        Errors within a tolerance are spread evenly; without a tolerance, three standard deviations are the worst case.
-        """
-        tables = () if self.sections is None else self.sections.parameters.items()
-        given = {name: (one.tolerance, one.sd) for name, one in tables if not isinstance(one, float | int)}
-        return {
-            name: (3 * sd if largest is None else largest, largest / np.sqrt(3) if sd is None else sd)
-            for name, (largest, sd) in given.items()
-            if largest or sd
-        }
+        """The largest error and the standard deviation [SI] of the parameters whose tables have one of them."""
+        tables = {} if self.sections is None else read_parameters(self.sections.to_dict().get("parameters", {}))
+        return {name: errors for name, one in tables.items() if (errors := one.errors) is not None}
 
     @property
     def bodies(self) -> dict[str, int]:
@@ -279,9 +272,9 @@ class Problem:
         build.apply_settings(tables, {key: value} if isinstance(key, str) and key else key or {})
         own = {name: getattr(self, name) for name in ("extra_costs", "extra_limits", "unread_extras", "remarks")}
         name = build.checked_name(changes.get("name") or self.name)
-        values = build.parameter_values(tables.get("parameters", {}))
+        values = parameter_values(tables.get("parameters", {}))
         same = tables["mechanism"] == build.table_of(mechanism)
-        same = mechanism if same and values == build.parameter_values(build.parameters_of(mechanism)) else None
+        same = mechanism if same and values == parameter_values(build.parameters_of(mechanism)) else None
         return self.from_tables(name, tables, None, same, **own | build.given_extras(changes))._in_reach()
 
     def varied(self, **values: Any) -> Problem:

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 from msgspec import Struct
 
-from linkplan.models.parameters import Parameter
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import guess_from
 from linkplan.planner.closed_chain.sensitivity import parameter_slopes
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import silent
 from linkplan.planner.search.jumps import effort_jumps
 from linkplan.planner.search.solving import graded_mesh, solve_from
@@ -38,21 +37,21 @@ def with_sensitivities(plan: Plan, say: Callable[[str], None] = silent) -> Plan:
 
     A plan without them gets a phrase with the reason: it is no optimum, or its multipliers are not known.
     """
-    mechanism = plan.problem.mechanism
     say("slopes of the objective by the parameters")
-    asked = [one for one in mechanism.parameters if _has_slope(plan, one)]
-    left = [one.name for one in mechanism.parameters if one not in asked]
+    if plan.problem.path is not None:  # the program of the guided mechanism has numbers in place of its parameters
+        return plan.adding("no sensitivities: along a path the numbers of the machine are constants of the program")
     solution = _solution(plan) if plan.status == "optimal" else None
     if solution is None:
         why = "it is no optimum" if plan.status != "optimal" else "no program with its objective and multipliers was found"
         return plan.adding(f"no sensitivities: {why}")
-    forces = 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)
-    slopes = parameter_slopes(solution, forces, len(mechanism.parameters))
-    found = {one.name: float(slope) for one, slope in zip(mechanism.parameters, slopes, strict=True) if one in asked}
-    plan = replace(plan, details={**plan.details, **{f"{_DETAIL}{name}": slope for name, slope in found.items()}})
+    parameters, slopes = plan.problem.mechanism.parameters, parameter_slopes(solution)
+    fixed = _has_fixed_places(plan.problem, solution)
+    left = [one.name for one in parameters if fixed and one.moves_pins]
+    known = {one.name: float(x) for one, x in zip(parameters, slopes, strict=True) if one.name not in left}
+    plan = replace(plan, details={**plan.details, **{f"{_DETAIL}{name}": slope for name, slope in known.items()}})
     if not left:
         return plan
-    return plan.adding(f"no slopes by {', '.join(left)}: ends or limits at sites or of jerk move with them")
+    return plan.adding(f"no slopes by {', '.join(left)}: ends or limits at sites, or jerks, change with them")
 
 
 def sensitivities_of(plan: Plan) -> list[Sensitivity]:
@@ -72,16 +71,12 @@ def sensitivities_of(plan: Plan) -> list[Sensitivity]:
     return sorted(found, key=lambda one: -max(abs(one.by_one_percent), one.by_tolerance or 0.0))
 
 
-def _has_slope(plan: Plan, one: Parameter) -> bool:
-    """Return whether a parameter changes nothing but the equations, path quantities and costs of nodes."""
-    problem = plan.problem
-    of_sites = [
-        *problem.motion.tasks,
-        *problem.limits.body,
-        *problem.extras,
-        *([] if problem.path is None else [problem.path]),
-    ]
-    return not one.moves_pins or not (of_sites or problem.sites or np.any(np.isfinite(problem.limits.jerk)))
+def _has_fixed_places(problem: Problem, solution: Solution) -> bool:
+    """Return whether a program contains places and jerks of the nominal machine, which move with its pins."""
+    has_jerk = solution.transcribed.formulation.build_system().has_jerk
+    motion, limits = problem.motion, problem.limits
+    at_sites = (*limits.site, *limits.site_speed, *limits.site_acceleration, *limits.site_jerk)
+    return has_jerk or any((motion.tasks, at_sites, limits.body, problem.tracked_bodies, problem.extras))
 
 
 def _solution(plan: Plan) -> Solution | None:

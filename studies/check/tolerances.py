@@ -23,11 +23,12 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.parameters import parameters_of
 from linkplan.models.poses.along import sampled
 from linkplan.models.tree.dynamics import site_names
+from linkplan.planner.problem.keys.sections import ParameterTable
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 from linkplan.studies.output.document import Axis, Block, Plot, Text, table_of
 from linkplan.studies.output.lines import Line, plots
 
-# Numbers that a table names as causes of an error.
+# How many causes of an error a table names.
 _NAMED_CAUSES = 3
 
 
@@ -86,7 +87,9 @@ def with_tolerances(
             )
         if not (np.isfinite(tolerance) and tolerance > 0):
             raise ProblemError(f"tolerance of '{pattern}' must be a positive number, got {tolerance!r}")
-        found |= {name: (float(tolerance), float(tolerance) / np.sqrt(3)) for name in names}
+        errors = ParameterTable(tolerance=float(tolerance)).errors
+        assert errors is not None  # the tolerance is positive
+        found |= dict.fromkeys(names, errors)
     if not found:
         raise ProblemError("there is no tolerance: name them, NAME=VALUE, or give a tolerance or sd in [parameters]")
     further = [name for name in found if name not in [one.name for one in mechanism.parameters]]
@@ -125,7 +128,7 @@ def tolerances_along(path: KinematicLoopPath, mechanism: Mechanism, errors: Mapp
 def _slopes(mechanism: Mechanism) -> tuple[dict[str, str], ca.Function, ca.Function]:
     """Return the quantities' units by name, the function q, p -> quantities, and q, p -> their slopes (n_y, n_p).
 
-    The determinants of the closure's blocks follow the named quantities.
+    After the named quantities, the functions return the determinants of the closure's blocks.
     """
     dynamics = mechanism.parametric_dynamics()
     q, p = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("p", len(mechanism.parameters))

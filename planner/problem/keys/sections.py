@@ -5,6 +5,7 @@ in metres with `_m`; all else is SI.
 """
 
 import functools
+import math
 from typing import Annotated, Any
 
 from msgspec import Meta, field
@@ -136,6 +137,17 @@ class ParameterTable(Section, frozen=True):
     range: kinds.Interval = key("[low, high] that contains it", "SI", "none")
     sd: kinds.AtLeastZero = key("its standard deviation", "SI", "none")
     tolerance: kinds.AtLeastZero = key("the largest error of its manufacture, of either sign", "SI", "none")
+
+    @property
+    def errors(self) -> tuple[float, float] | None:
+        """Its largest error and its standard deviation [SI]; None without `tolerance` and `sd`.
+
+        Errors within a tolerance alone are spread evenly; of an `sd` alone, three standard deviations are the largest error.
+        """
+        if not self.tolerance and not self.sd:
+            return None
+        largest = 3 * self.sd if self.tolerance is None else self.tolerance
+        return largest, largest / math.sqrt(3) if self.sd is None else self.sd
 
 
 class GuessSection(Section, frozen=True):

@@ -127,7 +127,7 @@ def test_effort_and_copper_loss_together_are_an_effort_of_both_weights():
 
 
 def test_the_least_shaking_force_of_a_lift_is_that_of_its_cubic_and_its_weight():
-    """(m (a + g))^2 is least where a falls linearly: 12 d^2 / T^3; the lift rests at both ends, so a has no mean."""
+    """The integral of (m (a + g))^2 is at least m^2 (12 d^2 / T^3 + g^2 T): a falls linearly, and its mean is zero."""
     plan = body_plan(LIFT, f"{LIFTED}duration_s = 1.5\n", "objective.minimize=shaking_force")
     least = WEIGHT**2 * (12 * RISE**2 / 1.5**3 + GRAVITY**2 * 1.5)
     assert (plan.status, plan.objective) == ("optimal", pytest.approx(least, rel=EXACT_EFFORT))

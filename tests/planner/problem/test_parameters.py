@@ -5,6 +5,7 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
+from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.search.planning import plan_motion
 
 REACH = {"start_deg": {"O": 0.0}, "goal_deg": {"O": 20.0}, "duration_s": 0.3}
@@ -36,6 +37,48 @@ def test_a_payload_s_mass_is_the_same_number_by_either_key():
     by_table = linkplan.Problem.from_file("knee-reach", {"mechanism.payload.mass_kg": 4.2}).mechanism
     np.testing.assert_array_equal(by_name.parameter_values, by_table.parameter_values)
     assert by_name.model.body("linkplan_payload").mass[0] == by_table.model.body("linkplan_payload").mass[0] == 4.2
+
+
+def test_a_payload_is_the_one_that_the_machine_carries():
+    problem = linkplan.Problem.from_file("knee-reach", {"parameters.payload.mass": 4.2})
+    assert problem.mechanism.payload.mass_kg == 4.2
+    table = {"body": "crank", "mass_kg": 4.0, "com_m": [0.1, 0.0, 0.0]}
+    heavier = linkplan.load_mechanism("optimus-knee", payload=table).with_parameters({"payload.mass": 5.0})
+    assert heavier.source["payload"]["mass_kg"] == heavier.payload.mass_kg == 5.0
+    assert linkplan.Problem.reach(heavier, **REACH).mechanism.model.body("linkplan_payload").mass[0] == 5.0
+
+
+def test_a_new_value_keeps_what_else_is_known_of_a_number():
+    knee = reach(parameters={"coupler.length": {"value": 0.0741, "tolerance": 1e-4}}).mechanism
+    assert knee.with_parameters({"coupler.length": 0.0742}).source["parameters"] == {
+        "coupler.length": {"value": 0.0742, "tolerance": 1e-4}
+    }
+
+
+def test_a_planner_plans_a_machine_with_another_link_as_if_it_were_the_first():
+    planner = linkplan.Planner()
+    found = {}
+    for length in (0.0741, 0.08):
+        problem = reach(parameters={"coupler.length": length}, limits={"site": {"B_rocker": {"z": [0.0, 1.0]}}})
+        found[length] = planner.plan(problem).require().objective
+        assert found[length] == pytest.approx(plan_motion(problem).objective, rel=1e-6)
+    assert found[0.0741] != pytest.approx(found[0.08], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"crank.mass": "heavy"}, r"parameters.crank.mass must be"),
+        ({"crank.mass": True}, r"parameters.crank.mass must be"),
+        ({"crank.mass": {"vale": 1.0}}, r"unknown key"),
+        ({"crank.mass": {"range": [0.1, 0.2]}}, r"range must contain the value"),
+        ({"payload.mass": 5.0}, r"mechanism.payload.mass_kg is 4, but parameters.'payload.mass' 5; keep one of them"),
+    ],
+)
+def test_a_model_s_numbers_are_checked_without_a_motion_too(table, said):
+    payload = {"body": "crank", "mass_kg": 4.0, "com_m": [0.1, 0.0, 0.0]}
+    with pytest.raises(LinkplanError, match=said):
+        mechanism_from_tables({"mechanism": {"model": "optimus-knee", "payload": payload}, "parameters": table})
 
 
 def test_a_box_of_named_numbers_costs_what_its_dearest_corner_costs():
