@@ -11,7 +11,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 
 from linkplan.models.actuation.distribution import ZERO_ARM_SHARE, missed_rounding
 from linkplan.models.closure.rank import ROUNDING_SHARE
@@ -236,6 +235,8 @@ def end_efforts(problem: Problem) -> np.ndarray:
     if motion.kind != "reach" or mechanism.n_u <= mechanism.dof or limited.all() or mechanism.forces is not None:
         return found
     ends = (motion.start, motion.start_speed), (None if motion.goal_is_free else motion.goal, motion.goal_speed)
+    import scipy
+
     for bounds, (s, speed) in zip(found, ends, strict=True):
         if s is None or np.isfinite(bounds).any() or (speed is not None and np.any(speed)):
             continue
