@@ -10,7 +10,6 @@ from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from linkplan.models.actuation.distribution import ZERO_ARM_SHARE, missed_rounding
 from linkplan.models.closure.rank import ROUNDING_SHARE
@@ -217,6 +216,8 @@ def _held_sums(mechanism: Mechanism, s: np.ndarray | None, holding: np.ndarray) 
         return np.eye(mechanism.dof)
     if s is None or not holding.any():
         return np.zeros((0, mechanism.dof))
+    import scipy
+
     pose = close_at(mechanism, s)
     arms = np.array(mechanism.dynamics.effort_map(pose))
     unmoved = scipy.linalg.null_space(arms[:, ~holding].T, rcond=ZERO_ARM_SHARE)

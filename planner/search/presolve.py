@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
@@ -143,6 +142,8 @@ def _not_held(problem: Problem) -> Verdict | None:
     """Return the verdict on a start or goal at rest that limits forbid to leave with an acceleration, and no motor holds."""
     if problem.mechanism.n_equations != problem.mechanism.dof:  # along a path, whose poses another check looks at
         return None
+    import scipy
+
     smooth = np.eye(problem.mechanism.dof)[list(smooth_columns(problem))]
     for name, held in zip(("start", "goal"), holds_at_rest(problem), strict=True):
         still = np.vstack([held, smooth])

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
 
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.interval import IntervalFunctions
@@ -167,6 +166,8 @@ def _accelerations_without_jumps(
     for k, (rest, end, of) in enumerate(zip(rests, (0, -1), (first, last), strict=True)):
         still = np.eye(layout.n_s)[[column for column in smooth if rest[column]]]
         if rest.all() and formulation.holds_at_rest:
+            import scipy
+
             sums = np.array(formulation.holds_at_rest[k])
             sums[:, smooth] = 0.0  # so that no row follows from the others
             still = np.vstack([still, scipy.linalg.orth(sums.T).T if len(sums) else sums])
