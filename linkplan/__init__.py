@@ -47,7 +47,10 @@ if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the sam
     from linkplan.models.mechanism import Mechanism as Mechanism
     from linkplan.planner.problem.extra import ExtraCost as ExtraCost
     from linkplan.planner.problem.extra import ExtraLimit as ExtraLimit
+    from linkplan.planner.problem.phases import Phase as Phase
+    from linkplan.planner.problem.phases import PhasedProblem as PhasedProblem
     from linkplan.planner.problem.problem import Problem as Problem
+    from linkplan.studies.output.phased_plan import PhasedPlan as PhasedPlan
 
     __version__: str
 
@@ -71,7 +74,9 @@ _MODULES = {
     "linkplan.models.errors": ("LinkplanError",),
     "linkplan.models.mechanism": ("Mechanism",),
     "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
+    "linkplan.planner.problem.phases": ("Phase", "PhasedProblem"),
     "linkplan.planner.problem.problem": ("Problem",),
+    "linkplan.studies.output.phased_plan": ("PhasedPlan",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  its names are those of the imports above

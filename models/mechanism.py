@@ -241,8 +241,12 @@ class Mechanism:
 
     def closure_slice(self, closure: int) -> slice:
         """Return the rows of the force [N] of closure number `closure` in `closure_names`; for a weld those of its point."""
-        name = list(dict.fromkeys(gap.index for gap in self.closures))[closure]
-        return next(gap.rows for gap in self.closures if gap.index == name)
+        return next(gap.rows for gap in self.closures if gap.index == self.equalities[closure])
+
+    @property
+    def equalities(self) -> tuple[int, ...]:
+        """The numbers of the equality constraints in the model, in the order of `closure_names`."""
+        return tuple(dict.fromkeys(gap.index for gap in self.closures))
 
     @property
     def equations(self) -> Equations:

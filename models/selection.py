@@ -18,6 +18,7 @@ from linkplan.models.foreign.floating import floating_bodies, floating_of
 from linkplan.models.foreign.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.foreign.urdf_loops import add_motors
 from linkplan.models.gearing import set_gearing
+from linkplan.models.ground import open_closures, stand
 from linkplan.models.kinematics import (
     BALL,
     FREE,
@@ -50,6 +51,7 @@ class Selection:
     of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit of the
     joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces (3,) [N]
     in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
+    `stand`: points (3,) [m] of the world on which sites by name stand; `open`: names of closures that are switched off.
     `effort_sharing`: the rule by which more actuators than freedoms share an effort, and `pre_tension` the efforts by
     actuator nearest to which they do so.
     """
@@ -64,6 +66,8 @@ class Selection:
     force: Mapping[str, Sequence[float]] = field(default_factory=dict)
     gear: Mapping[str, float] = field(default_factory=dict)
     rotor_inertia: Mapping[str, float] = field(default_factory=dict)
+    stand: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    open: Sequence[str] = ()
     effort_sharing: str | None = None
     pre_tension: Mapping[str, float] = field(default_factory=dict)
 
@@ -112,6 +116,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
     add_forces(spec, asked.force)
     notes += set_gearing(spec, asked.gear, asked.rotor_inertia)
+    notes += open_closures(spec, asked.open)
+    stand(spec, asked.stand)
     if model.nkey:
         _add_home(spec, qpos, {model.joint(j).name: _slice(model, j) for j in kept})
     return tuple(notes)

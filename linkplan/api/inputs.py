@@ -17,6 +17,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.keys.motion import WaypointSection
 from linkplan.planner.problem.keys.reading import read
+from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import joint_values, number, to_toml_types
 from linkplan.planner.search.planning import plan_motion
@@ -47,11 +48,12 @@ class Source:
             LinkplanError: if there is no such model or problem, or a setting is invalid.
         """
         if self.is_problem:
-            return self._with_settings(*read_tables(self.name))
+            return self.with_settings(*read_tables(self.name))
         _refuse_no_model(self.name)
-        return self._with_settings(self.name, {"mechanism": {"model": self.name}}, None)
+        return self.with_settings(self.name, {"mechanism": {"model": self.name}}, None)
 
-    def _with_settings(self, name: str, tables: Tables, folder: Path | None) -> tuple[str, Tables, Path | None]:
+    def with_settings(self, name: str, tables: Tables, folder: Path | None) -> tuple[str, Tables, Path | None]:
+        """Return a problem's name, tables and folder with the settings and the selection."""
         _set_all(tables, self.settings)
         section, asked = tables.get("mechanism", {}), dict(self.selection)
         if not asked:
@@ -67,10 +69,11 @@ class Source:
         Raises:
             LinkplanError: if it cannot be read, or is invalid.
         """
-        return Problem.from_tables(*self._with_settings(*read_tables(self.name)))
+        return Problem.from_tables(*self.with_settings(*read_tables(self.name)))
 
 
 ProblemLike = Problem | Source | str | Path
+AnyProblem = ProblemLike | PhasedProblem
 Subject = Mechanism | Problem | Source | str | Path
 PlanLike = Plan | Problem | Source | str | Path
 Poses = Sequence[Mapping[str, float] | float]
@@ -144,6 +147,23 @@ def given_problem(problem: object) -> Problem:
     if not isinstance(problem, Problem):
         raise ProblemError(f"the problem must be a Problem, a built-in problem's name or a TOML file, got {problem!r}")
     return problem
+
+
+def given_phases(problem: object) -> PhasedProblem | None:
+    """Return a problem in phases: itself, or that of a file with [[phases]]; None for another problem.
+
+    Raises:
+        LinkplanError: if the file cannot be read.
+    """
+    if isinstance(problem, PhasedProblem):
+        return problem
+    if not isinstance(problem, Source | str | Path):
+        return None
+    source = source_of(problem)
+    name, tables, folder = read_tables(source.name)
+    if "phases" not in tables:
+        return None
+    return PhasedProblem.from_tables(*source.with_settings(name, tables, folder))
 
 
 def problem_of(plan: PlanLike) -> Problem | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec import UNSET, structs
 
 from linkplan.api.command import command
-from linkplan.api.inputs import PlanLike, ProblemLike, Source, given_problem, plan_of, source_of, with_motion
+from linkplan.api.inputs import AnyProblem, PlanLike, Source, given_phases, given_problem, plan_of, source_of, with_motion
 from linkplan.api.reporting import LOG, Listener, Progress, listener
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
@@ -21,11 +21,13 @@ from linkplan.planner.plan import folder as plan_folder
 from linkplan.planner.plan import plan as planned
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.phases import plan_phases
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.refutations import proved_after_refinement
 from linkplan.planner.search.replan import NextMotion, Replanner
 from linkplan.planner.search.sensitivities import with_sensitivities
 from linkplan.studies.output.paths import check_flags, drawn, path_of
+from linkplan.studies.output.phased_plan import PhasedPlan
 from linkplan.studies.output.result import Reported, Result
 
 if TYPE_CHECKING:
@@ -42,15 +44,19 @@ PROVING = "proving the limits, then that the model has a motion near the plan (a
 
 @command("plan a motion and certify it between the nodes", saved=True, showing=("all", "report", "parquet", "jumps"))
 def plan(
-    problem: ProblemLike, progress: Progress | None = None, *, prove: bool = False, sensitivities: bool = False
-) -> Plan:
+    problem: AnyProblem,
+    progress: Progress | None = None,
+    *,
+    prove: bool = False,
+    sensitivities: bool = False,
+) -> Plan | PhasedPlan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 
     If the problem has a reserve or ranges, the nominal machine is planned too, to state the price of robustness. The motion
     is proved if the proof takes little time compared with planning; the result is the plan's `proof`.
 
     Args:
-        problem: a `Problem`, a built-in name or the path of a problem file.
+        problem: a `Problem`, a built-in name or the path of a problem file. A motion in phases gives a `PhasedPlan`.
         progress: called with lines on the progress.
         prove: whether the motion is proved, however long it takes.
         sensitivities: the slopes of the objective by the payload and the numbers in [parameters], exact, with the effect of
@@ -64,7 +70,12 @@ def plan(
         print(linkplan.plan("knee-reach"))
     """
     check_flags(prove=prove, sensitivities=sensitivities)
-    say, begun, asked = listener(progress), time.process_time(), given_problem(problem)
+    say, begun, in_phases = listener(progress), time.process_time(), given_phases(problem)
+    if in_phases is not None:
+        if prove or sensitivities:
+            raise ProblemError("prove and sensitivities take one phase: save the plan and name the folder of a phase in it")
+        return PhasedPlan.of(plan_phases(in_phases, say))
+    asked = given_problem(problem)
     if sensitivities and not asked.mechanism.parameters:
         raise ProblemError(
             "sensitivities are by numbers of the machine: name them in [parameters]; `check` with `parameters` lists them"

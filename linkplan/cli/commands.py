@@ -124,7 +124,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     plan = called(arguments, say)
     if plan.passed and target is not None:
-        plan.save(target, jumps=arguments.jumps, parquet=arguments.parquet, report=arguments.report)
+        further = {"jumps": True} if arguments.jumps else {}
+        plan.save(target, parquet=arguments.parquet, report=arguments.report, **further)
     if target is not None:
         say.keep(f"saved in {target}" if plan.passed else f"nothing written: {plan.status}")
     return answered(arguments, plan)

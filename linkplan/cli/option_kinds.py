@@ -61,6 +61,7 @@ KINDS = {
     "PlanLike": _PLAN,
     "PlanLike | Subject": _EXPORTED,
     "ProblemLike": _PROBLEM,
+    "AnyProblem": _PROBLEM,
     "str | Path | Source": Kind(
         metavar="MODEL",
         text="a built-in model, or an MJCF or URDF file",
@@ -130,6 +131,7 @@ SOURCES = {
     "PlanLike": ("set", "anyway"),
     "PlanLike | Subject": ("set", "anyway", *names.SELECTION),
     "ProblemLike": ("set",),
+    "AnyProblem": ("set",),
     "str | Path | Source": ("set",),
 }
 

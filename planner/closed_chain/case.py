@@ -66,6 +66,7 @@ class MechanismCase:
     smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
     enclosed: bool = False  # whether enclosable limits are imposed at every instant
     ties: float = 0.0  # see `formulate`
+    free_ends: np.ndarray | None = None  # see `formulate`
     sampled_at: tuple[float, ...] = ()  # shares of the duration of further samples: a proof refuted a motion there
     target: RefinementTarget = field(init=False)
 
@@ -75,7 +76,7 @@ class MechanismCase:
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
         kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "enclosed": self.enclosed, "ties": self.ties}
-        return transcribe(self.problem, start, mesh, durations, **kept, **options)
+        return transcribe(self.problem, start, mesh, durations, free_ends=self.free_ends, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
         """Return a solution's trajectory; None if the solver moved to another assembly branch."""

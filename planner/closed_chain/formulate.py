@@ -4,6 +4,7 @@ Where waypoints and goals leave the pose free, sites and bodies are prescribed a
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -83,6 +84,7 @@ def formulate(
     tightenings: tuple[Tightening, ...] = (),
     smoothing: float = SMOOTHING_WEIGHT,
     ties: float = 0.0,
+    free_ends: np.ndarray | None = None,
 ) -> Formulation:
     """Return a problem's formulation.
 
@@ -95,6 +97,7 @@ def formulate(
         tightenings: amounts by which limits are tightened along the motion, because it overran them between nodes.
         smoothing: the weight of the squared effort rate if the objective leaves efforts non-smooth, in scaled units.
         ties: the weight of the mean squared effort, see `tie_weights`.
+        free_ends: a mask (2, 2 n_s) of states at start and goal that a link to another phase determines.
     """
     mechanism, objective, motion = problem.mechanism, problem.objective, problem.motion
     n_s, n_u = mechanism.dof, mechanism.n_u
@@ -132,7 +135,7 @@ def formulate(
         effort=effort_bounds(problem),
         path=path,
         own=own,
-        boundaries=phase_boundaries_of(problem, scales),
+        boundaries=_freed(phase_boundaries_of(problem, scales), free_ends),
         returns=returns if motion.kind == "periodic" else (),
         free_at_end=free_at_end if motion.kind == "periodic" else (),
         advance=_advance(problem, scales, returns),
@@ -305,6 +308,17 @@ def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary
     if motion.goal is not None and not via:
         via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5, free_at_end=True)]
     return (start, *via, goal)
+
+
+def _freed(boundaries: tuple[PhaseBoundary, ...], free_ends: np.ndarray | None) -> tuple[PhaseBoundary, ...]:
+    """Return phase boundaries with free states (2, 2 n_s) at start and goal."""
+    if free_ends is None:
+        return boundaries
+    changed = list(boundaries)
+    for at, free in zip((0, -1), free_ends, strict=True):
+        state = np.where(free[:, None], [-np.inf, np.inf], changed[at].state)
+        changed[at] = replace(changed[at], state=state)
+    return tuple(changed)
 
 
 def _first_position(problem: Problem) -> np.ndarray | None:

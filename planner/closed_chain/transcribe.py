@@ -91,6 +91,7 @@ def transcribe(
     tightenings: tuple[Tightening, ...] = (),
     smoothing: float = SMOOTHING_WEIGHT,
     ties: float = 0.0,
+    free_ends: np.ndarray | None = None,
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -109,6 +110,7 @@ def transcribe(
         tightenings: amounts by which limits are tightened, because a motion overran them between nodes.
         smoothing: see `formulate`.
         ties: likewise.
+        free_ends: likewise.
     """
     scales = scales or choose_scales(problem, guess)
     formulation = formulate(
@@ -120,6 +122,7 @@ def transcribe(
         tightenings=tightenings,
         smoothing=smoothing,
         ties=ties,
+        free_ends=free_ends,
     )
     transcribed = collocate(
         formulation,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
+from linkplan.models.ground import ground_normal
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.joint_forces import Pin, pins_of
 from linkplan.models.tree.coordinates import joint_label
@@ -172,6 +173,14 @@ def _of_pins(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
     return largest
 
 
+def _of_contacts(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
+    """Return the coefficients of friction by closure, each of a site and a point of the world."""
+    for name in getattr(section, key):
+        if ground_normal(mechanism.model, mechanism.equalities[closure_index(mechanism, name, key)]) is None:
+            raise ProblemError(f"limits.{key}.{name}: closure {name} does not connect a site and a site of the world")
+    return dict(getattr(section, key))
+
+
 def _of_sites(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
     """Return the largest values by site, refused for unknown names."""
     for name in getattr(section, key):
@@ -192,6 +201,7 @@ _MADE_BY: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "joint": _of_joints,
     "closure": _of_closures,
     "pin": _of_pins,
+    "contact": _of_contacts,
     "site": _of_sites,
     "": lambda section, key, _: getattr(section, key),
 }
@@ -207,8 +217,8 @@ def actuator_index(mechanism: Mechanism, name: str, where: str) -> int:
     return names.index(choose(f"actuator in {where}", name, names, ProblemError))
 
 
-def closure_index(mechanism: Mechanism, name: str) -> int:
-    """Return the index of a closure named in limits.closure_force.
+def closure_index(mechanism: Mechanism, name: str, key: str = "closure_force") -> int:
+    """Return the index of a closure named in a key of [limits].
 
     Raises:
         ProblemError: for an unknown name.
@@ -216,9 +226,9 @@ def closure_index(mechanism: Mechanism, name: str) -> int:
     names = mechanism.closure_names
     if not names:
         raise ProblemError(
-            f"limits.closure_force.{name}: mechanism '{mechanism.name}' has no closure; limits.pin_force limits joints"
+            f"limits.{key}.{name}: mechanism '{mechanism.name}' has no closure; limits.pin_force limits joints"
         )
-    return names.index(choose("closure in limits.closure_force (joints: limits.pin_force)", name, names, ProblemError))
+    return names.index(choose(f"closure in limits.{key} (joints: limits.pin_force)", name, names, ProblemError))
 
 
 def pin_or_closure(mechanism: Mechanism, name: str) -> Pin | int:

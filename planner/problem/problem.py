@@ -25,6 +25,7 @@ from linkplan.planner.problem.motion import Motion, start_pose
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.parameters import parameter_values, read_parameters
 from linkplan.planner.problem.path import SitePath, check_path
+from linkplan.planner.problem.phases import Phase, PhasedProblem
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking, to_toml_types
 from linkplan.planner.problem.sites import BodyAngle, SitePoint
@@ -128,6 +129,20 @@ class Problem:
         return cls._built("follow", mechanism, arguments)
 
     @classmethod
+    def phases(cls, mechanism: Mechanism | str | Path, phases: Sequence[Phase], **tables: Any) -> PhasedProblem:
+        """Return the problem of a motion in phases with contacts, a `PhasedProblem`.
+
+        Args:
+            mechanism: without contacts.
+            phases: `Phase`s in order, or tables.
+            tables: the other tables of a file: contacts, motion, objective, limits; and a name.
+
+        Raises:
+            LinkplanError: if they are invalid.
+        """
+        return PhasedProblem.of(mechanism, phases, tables)
+
+    @classmethod
     def from_file(cls, path_or_name: str | Path, settings: Mapping[str, object] | None = None) -> Problem:
         """Return the problem of a built-in name or a TOML file.
 
@@ -156,6 +171,10 @@ class Problem:
 
         The arguments are those of `Problem`, with `mechanism` for `loaded`.
         """
+        if "phases" in tables:
+            raise ProblemError(
+                f"problem '{name}' has phases: `plan` takes it, and other commands the folder of one phase of its plan"
+            )
         sections: Any = tables
         return cls(name=name, sections=sections, folder=folder, loaded=mechanism, **extras)
 

@@ -58,12 +58,12 @@ _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 _SHARE_ALONG_PRODUCTS = 1.5
 # Largest number of meshes, and the relative change below which the objective has settled. With piecewise constant efforts
 # (least work) its error is only of first order in the interval's length.
-_MAX_MESHES, _SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
+_MAX_MESHES, SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
 # A tracking objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
 EXACT_TRACKING_SHARE = 1e-10
 # Changes of a tracking objective are compared with at least this share of its unit. A change as small as the objective of
 # exact tracking has then settled. Without this, meshes are refined for rounding errors.
-_LEAST_TRACKING = EXACT_TRACKING_SHARE / _SETTLED_CHANGE
+_LEAST_TRACKING = EXACT_TRACKING_SHARE / SETTLED_CHANGE
 # If a finer mesh's objective is worse by more than this share, it belongs to another motion.
 _LOST_SHARE = 1e-3
 # The same for the first finer mesh with a given duration: the objective of the first mesh is 0.9 and 1.6 % too small for the
@@ -92,7 +92,7 @@ _MAX_GROWTH = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Way:
+class Way:
     """The next solve: its case, mesh, segments' durations [s] and name."""
 
     case: MechanismCase
@@ -102,7 +102,7 @@ class _Way:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Kept:
+class Kept:
     """A motion that passes, the case that it solves, and the coordinates with rows for their ranges between the nodes."""
 
     case: MechanismCase
@@ -120,9 +120,9 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     case = at_a_distance(case, found.motion.start_pose)
     at: CertifiedIterate | None = None  # of the last finer mesh
     latest, gain, moved = found, np.inf, 0.0
-    kept: list[_Kept] = []  # the motions that pass, each better than the previous one, then the last motion
-    last: _Kept | None = None
-    way: _Way | None = _first_way(case, found)
+    kept: list[Kept] = []  # the motions that pass, each better than the previous one, then the last motion
+    last: Kept | None = None
+    way: Way | None = first_way(case, found)
     deadline = case.problem.solver.deadline
     rows: frozenset[int] = frozenset()  # coordinates with rows for their ranges between nodes
     in_time, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
@@ -143,8 +143,8 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             left *= min(1.0, gain / last_gain)
         left = np.inf if finer.solution.status == FEASIBLE else min(left, _share_of_gaps(way.case, at))
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
-        last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
-        way = _next_way(way.case, at, left) if at.passed or better else None
+        last = Kept(way.case, at, rows) if better and at.certificate is not None else None
+        way = next_way(way.case, at, left) if at.passed or better else None
         until = until if last is None else in_time
         if last is not None and at.passed:
             # Nearer to singular poses the objective also changes, for another reason than the mesh.
@@ -153,14 +153,14 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             kept.append(last)
     if last is not None and last not in kept:
         kept.append(last)
-    repaired: list[CertifiedIterate] = []
+    corrected: list[CertifiedIterate] = []
     for one in reversed(kept):
-        at = _repaired(one)
+        at = repaired(one)
         moved = max(moved, _gained(case, at.found, one.at.found))
-        repaired.append(at)
+        corrected.append(at)
         if is_sound(at.certificate):
             break
-    at = min(repaired, key=_shortcoming, default=at) or certify_iterate(case, found)
+    at = min(corrected, key=_shortcoming, default=at) or certify_iterate(case, found)
     if at.certificate is None:
         return None
     return Refined(
@@ -169,7 +169,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     )  # fmt: skip
 
 
-def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
+def _solved(way: Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
     """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
 
     With a free duration the barrier parameter follows the iterates. With a given duration it decreases from a small value,
@@ -244,7 +244,7 @@ def along_ranges(problem: Problem, motion: Trajectory) -> frozenset[int]:
     return frozenset(np.flatnonzero(~np.all(inside[:, 1:-1], axis=(0, 1))).tolist())
 
 
-def _repaired(kept: _Kept) -> CertifiedIterate:
+def repaired(kept: Kept) -> CertifiedIterate:
     """Return a motion corrected with the least change on finer meshes until it is sound, or the last one that passes."""
     at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
     solver = problem.solver.replace(deadline=problem.solver.certificate_deadline)
@@ -272,7 +272,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             found = None
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, for_a_solve(case, at))
-            way = _Way(_at_margin(case, _margin_of(kept.case)), mesh, at.found.durations, "finer mesh")
+            way = Way(_at_margin(case, _margin_of(kept.case)), mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
         took_s = (begun_s - until.left_s) / mesh.n_intervals
@@ -292,7 +292,7 @@ def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | Non
         return None
     found, motion, asked = at.found, at.found.motion, case.asked
     share = INVERSE_DYNAMICS_SHARE * (1.0 + float(at.report.effort_overrun.max()))
-    if share > _SETTLED_CHANGE or (1.0 + share) * motion.duration_s > (asked.motion.max_duration_s or np.inf):
+    if share > SETTLED_CHANGE or (1.0 + share) * motion.duration_s > (asked.motion.max_duration_s or np.inf):
         return None
     try:
         slow = in_more_time(asked, motion, 1.0 + share)
@@ -304,7 +304,7 @@ def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | Non
     return slowed if is_sound(slowed.certificate) else None
 
 
-def _first_way(case: MechanismCase, found: Iterate) -> _Way:
+def first_way(case: MechanismCase, found: Iterate) -> Way:
     """Return the solve in the finer transcription, with the jumps of efforts as ends of segments."""
     asked, motion = case.asked, found.motion
     case = replace(case if asked.motion.duration_s is None else _nearer(case, found), ties=TIE_WEIGHT)
@@ -315,11 +315,11 @@ def _first_way(case: MechanismCase, found: Iterate) -> _Way:
     boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, found)
     if len(boundaries) == 2 and not len(jumps):
         durations = np.array([motion.duration_s])
-        return _Way(case, with_force_times(case.problem, uniform(n), durations), durations, "finer transcription")
-    return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
+        return Way(case, with_force_times(case.problem, uniform(n), durations), durations, "finer transcription")
+    return Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
 
 
-def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | None:
+def next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> Way | None:
     """Return the next solve after a motion; None where it is done.
 
     `left` is the share of the objective that a further mesh is expected to gain.
@@ -329,22 +329,22 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
     pieces, mesh, durations = for_a_solve(case, at), at.found.mesh, at.found.durations
     further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
-        return _Way(nearer, mesh, durations, "nearer to singular poses")
+        return Way(nearer, mesh, durations, "nearer to singular poses")
     if abs(left) <= _settled_change(case):
         return None
     if len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         what = "more jumps as unknowns"
         if case.enclosed:  # the mesh along limits on power is fine where efforts bend
-            return _Way(case, *with_ends(divided(mesh, pieces), durations, further), what)
+            return Way(case, *with_ends(divided(mesh, pieces), durations, further), what)
         boundaries = at.found.motion.breaks_s[mesh.boundaries()]
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
-        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), what)
+        return Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), what)
     if pieces.max() == 1 or pieces.sum() > _MAX_GROWTH * case.asked.mesh.intervals:
         pieces = 1 + rough_of(at.found.motion)
     if pieces.sum() > MAX_INTERVALS:
         return None
-    return _Way(case, divided(mesh, pieces), durations, "finer mesh")
+    return Way(case, divided(mesh, pieces), durations, "finer mesh")
 
 
 def _nearer(case: MechanismCase, found: Iterate) -> MechanismCase:
@@ -381,7 +381,7 @@ def _with_distance(case: MechanismCase) -> MechanismCase:
 
 
 def _settled_change(case: MechanismCase) -> float:
-    return _SETTLED_CHANGE_OF_STEPS if case.problem.mesh.effort == "constant" else _SETTLED_CHANGE
+    return _SETTLED_CHANGE_OF_STEPS if case.problem.mesh.effort == "constant" else SETTLED_CHANGE
 
 
 def _margin_of(case: MechanismCase) -> float:

@@ -157,16 +157,16 @@ def _ipopt(
     }
     if adaptive:
         options["ipopt.mu_strategy"] = "adaptive"
-    if program.mesh.n_intervals >= 200 or program.layout.n_s > 1:
+    if program.n_intervals >= 200 or program.n_s > 1:
         # MUMPS' matching of rows to columns takes a time quadratic in the number of intervals: with 2,000, three quarters of
         # a solve. With several degrees of freedom it costs more than it gains on every mesh; small programs of one degree of
         # freedom use it for better pivots.
         options["ipopt.mumps_permuting_scaling"] = 0
-    if program.layout.n_s > 1:
+    if program.n_s > 1:
         # With second-order corrections, full steps in and out of a joint's dry friction repeat until the iterations end.
         # Without them, 104 problems of several degrees of freedom take 2 % fewer iterations.
         options["ipopt.max_soc"] = 0
-    if min(program.layout.n_s, program.layout.n_u) > 1:
+    if min(program.n_s, program.n_u) > 1:
         # Along directions in which the objective hardly bends (joints with slack time), steps at the optimum violate the
         # equations by up to 1e-7 until the iterations end. The last correction permits 1e-8, too.
         options |= {"ipopt.tol": acceptable, "ipopt.constr_viol_tol": acceptable, "ipopt.compl_inf_tol": SOLVER_TOLERANCE}

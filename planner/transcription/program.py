@@ -141,6 +141,21 @@ class Program:
     n_rows: int
     linear: Triplets
 
+    @property
+    def n_s(self) -> int:
+        """The number of second-order coordinates."""
+        return self.layout.n_s
+
+    @property
+    def n_u(self) -> int:
+        """The number of efforts."""
+        return self.layout.n_u
+
+    @property
+    def n_intervals(self) -> int:
+        """The number of intervals."""
+        return self.mesh.n_intervals
+
 
 def build_program(
     layout: Layout,

@@ -139,6 +139,7 @@ Breaks = Annotated[
     ),
 ]
 Names = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of joint names"})]
+Closures = Annotated[list[str], Meta(extra={"said": "a list of names of closures"})]
 Sites = Annotated[list[str], Meta(extra={"said": "a list of names of sites"})]
 ParameterNames = Annotated[list[str], Meta(extra={"said": "a list of names in [parameters]"})]
 Settings = Annotated[list[str], Meta(extra={"said": 'a list of "section.key=value"'})]
@@ -179,12 +180,20 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorEfforts = Annotated[dict[str, Number], Meta(extra=_ACTUATORS)]
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
+Friction = Annotated[float, Meta(ge=0, extra={"said": "a number from 0, or inf"})]
+Frictions = Annotated[dict[str, Friction], Meta(extra={"of": "closure = coefficient", "noun": "closure"})]
 PinLimits = Annotated[dict[str, Positive], Meta(extra={"of": "joint or closure = newtons", "noun": "pin"})]
 SiteSpeeds = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second", "noun": "site"})]
 SiteAccelerations = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
 SiteJerks = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second cubed", "noun": "site"})]
 Force = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in newtons", "numbered": True})]
 Forces = Annotated[dict[str, Force], Meta(extra={"of": "site = [x, y, z] in newtons"})]
+Footing = Annotated[
+    list[Number],
+    Meta(min_length=3, max_length=6, extra={"said": "[x, y, z] in metres, and the ground's normal if it is not z"}),
+]
+Footings = Annotated[dict[str, Footing], Meta(extra={"of": "site = [x, y, z] in metres"})]
+Points = Annotated[dict[str, Point], Meta(extra={"of": "contact = [x, y, z] in metres"})]
 _BODIES = {"of": "body = angle in degrees", "noun": "body"}
 BodyAngles = Annotated[dict[str, Angle], Meta(extra=_BODIES)]
 BodyPaths = Annotated[dict[str, Path], Meta(extra=_BODIES | {"of": "body = angles in degrees"})]

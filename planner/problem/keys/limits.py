@@ -123,6 +123,15 @@ class LimitValues:
         ByName,
         KeyOf("pin_force", "pin", kinds.PinLimits, "the largest force in the pin, slide or ball of a joint or closure", "N"),
     ] = UNLIMITED
+    friction: Annotated[
+        ByName,
+        KeyOf(
+            "friction",
+            "contact",
+            kinds.Frictions,
+            "coefficients of friction of sites that stand on the ground: it pushes on them, within the friction cone",
+        ),
+    ] = UNLIMITED
     reserve: Annotated[
         float, KeyOf("reserve", "", kinds.Margin, "the share of every effort range that is reserved for feedback")
     ] = 0.0

@@ -101,6 +101,10 @@ class MechanismSection(Section, frozen=True):
     rotor_inertia: kinds.RotorInertias = by_name(
         "inertia of the motors' rotors by actuator, before the gear", "kg m2, kg", "the model's own"
     )
+    stand: kinds.Footings = by_name(
+        "points [x, y, z] of the world on which sites stand, with the ground's normal if it is not z", "m", "none"
+    )
+    open: kinds.Closures = key("closures that are switched off", otherwise="none", default=[])
     effort_sharing: kinds.Sharing = key(
         "how more actuators than degrees of freedom share an effort outside the optimiser, always within their limits: by"
         " least squares, or with the least peak",

@@ -1,0 +1,213 @@
+"""A plan in phases as a result: its table, its motion over the time of all phases, its folder and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.joint_forces import closure_rows_along
+from linkplan.models.poses.whole_body import centre_of_mass
+from linkplan.planner.files.structs import Beside
+from linkplan.planner.plan import phased
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import Verdict
+from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Text, table_of
+from linkplan.studies.output.draw_plan import drawn_motion, save_plan
+from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.plan_sections import plan_sections
+from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import Result
+
+
+class PhaseRow(Struct, frozen=True, kw_only=True):
+    """One phase of a plan: its contacts, when it begins, how long it takes, its status and its part of the objective."""
+
+    name: str
+    on: tuple[str, ...]
+    begins_s: float
+    duration_s: float | None
+    status: str
+    objective: float | None
+    message: str
+
+
+class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
+    """The certified motions of all phases of a motion, or the reason why there are none.
+
+    Args:
+        problem: its name.
+        tables: those of its file.
+        verdict: what was found, and by what it is known.
+        objective: its value [SI]; None without a motion.
+        duration_s: of all phases.
+        phases: a row for each.
+        junctions: what happens between them.
+        body: the centre of mass and the distance.
+        plans: of the phases: ordinary plans, each with its motion, certificate and problem.
+    """
+
+    record_name = "phases"
+    has_parquet = True
+
+    problem: str
+    tables: dict
+    verdict: Verdict
+    objective: float | None
+    duration_s: float | None
+    phases: tuple[PhaseRow, ...]
+    junctions: tuple[phased.Junction, ...]
+    body: phased.PhaseQuantities | None
+    plans: Beside[tuple[Plan, ...]]
+
+    @classmethod
+    def of(cls, found: phased.PhasedPlan) -> PhasedPlan:
+        """Return the planner's plan as a result."""
+        begins = found.begins_s.tolist() if found.plans else []
+        rows = [
+            PhaseRow(
+                name=phase.name,
+                on=tuple(phase.on),
+                begins_s=begin,
+                duration_s=plan.duration_s,
+                status=plan.status,
+                objective=plan.objective,
+                message=plan.message,
+            )
+            for phase, plan, begin in zip(found.problem.phases, found.plans, begins, strict=False)
+        ]
+        return cls(
+            problem=found.problem.name,
+            tables=found.problem.to_dict(),
+            verdict=found.verdict,
+            objective=found.objective,
+            duration_s=found.duration_s,
+            phases=tuple(rows),
+            junctions=found.junctions,
+            body=found.body,
+            plans=found.plans,
+        )
+
+    @property
+    def status(self) -> str:
+        """What planning found: "optimal", "feasible", "infeasible" or "failed"."""
+        return self.verdict.kind
+
+    @property
+    def passed(self) -> bool:
+        """Whether every phase's certificate and every junction passes."""
+        return self.verdict.passed
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return self.verdict.sentence
+
+    def __repr__(self) -> str:
+        return f"PhasedPlan({self.problem!r}: {self.message})"
+
+    def blocks(self) -> list[Block]:
+        """Return the plan as a document's blocks."""
+        sentence = self.message
+        found: list[Block] = [
+            Text(text=f"{self.problem}: {self.status}"),
+            Text(text=f"{sentence[0].upper()}{sentence[1:]}", tone="good" if self.passed else "bad"),
+        ]
+        if self.body is not None:
+            found.append(Facts(rows=self._facts()))
+        if self.phases:
+            heads = ["phase", "on", "begins [s]", "duration [s]", "status", "objective"]
+            rows = [(p.name, ", ".join(p.on) or "air", p.begins_s, p.duration_s, p.status, p.objective) for p in self.phases]
+            found.append(table_of("Phases", heads, rows, digits=8))
+        if self.junctions:
+            found.append(self._junction_table())
+        return found
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return the facts on the whole motion."""
+        body, moved = self.body, self.body.distance_m
+        rise = body.apex_m - body.com_start_m[2]
+        facts = [("duration", f"{self.duration_s:.9g} s")] if self.duration_s is not None else []
+        if self.objective is not None:
+            facts.append(("objective", f"{self.objective:.10g}"))
+        facts.append(("centre of mass", f"moves {moved:.6g} m along x, rises by {rise:.8g} m to {body.apex_m:.6g} m"))
+        if body.cost_of_transport is not None:
+            facts.append(("cost of transport", f"{body.cost_of_transport:.4g}"))
+        return facts
+
+    def _junction_table(self) -> Block:
+        heads = ["time [s]", "leaves", "touches", "impulse [N s]", "energy lost [J]"]
+        rows = []
+        for one in self.junctions:
+            pushes = [f"{name} ({x:.4g}, {y:.4g}, {z:.4g})" for name, (x, y, z) in one.impulse_ns.items()]
+            lost = one.energy_lost_j if abs(one.energy_lost_j) > 1e-9 else 0.0
+            rows.append(
+                (one.time_s, ", ".join(one.released), ", ".join(one.touched), "; ".join(pushes) if lost else "", lost)
+            )
+        return table_of("Between the phases", heads, rows, digits=6)
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the figure of joints, efforts, contacts and the centre of mass over the time of all phases."""
+        if self.plans and all(plan.trajectory is not None for plan in self.plans):
+            yield "phases", FigureSpec(panels=list(self._plots()), title=f"{self.problem}: {self.message}", columns=2)
+
+    def document(self) -> Report:
+        """Return the report: the whole motion, then the sections of each phase."""
+        sections = [Section(title="Overview", blocks=self.blocks())]
+        if self.plans and all(plan.trajectory is not None for plan in self.plans):
+            sections[0] = Section(title="Overview", blocks=[*self.blocks(), *self._plots()])
+        for plan in self.plans:
+            sections += plan_sections(plan)
+        return report_of(f"Plan {self.problem}", self.message, self.passed, sections)
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write the folder of each phase's plan, named by its number and name."""
+        for k, plan in enumerate(self.plans):
+            folder = place / f"{k + 1}-{self.phases[k].name}"
+            folder.mkdir()
+            save_plan(plan, folder, parquet=parquet)
+
+    def _plots(self) -> Iterator[Plot]:
+        """Yield the plots over the time of all phases."""
+        motions = [drawn_motion(plan) for plan in self.plans]
+        time = np.concatenate([begin + motion.time for begin, motion in zip(self._begins(), motions, strict=True)])
+        first = self.plans[0].problem.mechanism
+        q = np.vstack([motion.q for motion in motions])
+        efforts = np.vstack([motion.u for motion in motions])
+        joints = [Line(name=j.name, values=j.shown(q[:, k]), unit=j.unit) for k, j in enumerate(first.joints)]
+        drives = [
+            Line(name=a.name, values=efforts[:, k], unit=a.unit, limits=tuple(self.plans[0].problem.limits.effort[k]))
+            for k, a in enumerate(first.actuators)
+        ]
+        place = sampled(centre_of_mass(first), q)[:, :, 0]
+        centre = [
+            Line(name=axis, values=place[:, k], unit="m") for k, axis in enumerate("xyz") if np.ptp(place[:, k]) > 1e-9
+        ]
+        yield from plots("Centre of mass", "place", TIME, time, centre)
+        yield from plots("Position of the joints", "position", TIME, time, joints)
+        yield from plots("Effort of the actuators", "effort", TIME, time, drives)
+        yield from plots("Forces of the ground", "force", TIME, time, list(self._ground(motions)))
+
+    def _ground(self, motions) -> Iterator[Line]:
+        """Yield the components of the forces of the ground on each standing site, not a number in the air."""
+        names = dict.fromkeys(name for plan in self.plans for name in plan.problem.limits.friction)
+        for name in names:
+            parts = []
+            for plan, at in zip(self.plans, motions, strict=True):
+                mechanism = plan.problem.mechanism
+                if name in plan.problem.limits.friction:
+                    rows = closure_rows_along(mechanism, at.q, at.v, at.a, at.u, *at.forces)
+                    parts.append(rows[:, mechanism.closure_slice(mechanism.closure_names.index(name))])
+                else:
+                    parts.append(np.full((len(at.time), 3), np.nan))
+            force = np.vstack(parts)
+            for k, axis in enumerate("xyz"):
+                if np.nanmax(np.abs(force[:, k]), initial=0.0) > 1e-9:
+                    yield Line(name=f"{name} {axis}", values=force[:, k], unit="N")
+
+    def _begins(self) -> list[float]:
+        return [phase.begins_s for phase in self.phases]
