@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 import casadi as ca
 
+# Expressions of scalars, or of matrices.
+Symbols = ca.SX | ca.MX
 # Largest block that is solved by Cramer's rule, which gives the shortest expressions up to this size.
 _MAX_CRAMER_SIZE = 3
 # Largest block whose determinant is expanded: a dense one of twelve rows has 4096 minors.
@@ -41,8 +43,18 @@ def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     return solve
 
 
-def solve_positive(A: ca.SX, b: ca.SX) -> ca.SX:
-    """Return A^-1 b for a positive definite A such as an inertia. Beyond three unknowns LDL^T is a quarter as long as QR."""
+def solved_in_numbers(n: int) -> bool:
+    """Return True if n unknowns have no short formula: LDL^T in scalars grows with the cube of n."""
+    return n > _MAX_CRAMER_SIZE
+
+
+def solve_positive(A: Symbols, b: Symbols) -> Symbols:
+    """Return A^-1 b for a positive definite A such as an inertia. Beyond three unknowns LDL^T is a quarter as long as QR.
+
+    For expressions of matrices it is one node that factorises numbers by LDL^T.
+    """
+    if isinstance(A, ca.MX):
+        return ca.solve(A, b, "ldl")
     if A.shape[0] <= _MAX_CRAMER_SIZE:
         return factorise(A)(b)
     A = ca.sparsify(A)

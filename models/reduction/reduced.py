@@ -18,7 +18,14 @@ import numpy as np
 from linkplan.models.closure.equations import Closure, rows_by_pin
 from linkplan.models.closure.newton import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
+from linkplan.models.reduction.elimination import (
+    block_determinants,
+    block_rows,
+    determinant,
+    factorise,
+    solve_positive,
+    solved_in_numbers,
+)
 from linkplan.models.tree.dynamics import Tree, site_places
 from linkplan.models.tree.joints import ball_turns
 from linkplan.models.tree.tendons import limited_tendons
@@ -71,9 +78,14 @@ class ReducedDynamics:
         """Return efforts (n_s, k) along the freedoms, of those in all equations of motion; there may be more equations."""
         return efforts
 
+    def driven(self, q: ca.SX, v: ca.SX, u: ca.SX, *further: ca.SX) -> ca.SX:
+        """Return the effort (n_s,) along the freedoms that accelerates them, Gamma^T B u less that at zero acceleration."""
+        bias = self.inverse_dynamics(q, v, ca.DM.zeros(v.numel()), *further)
+        return self.along_freedoms(q, self.effort_map(q, *further) @ u - bias)
+
     @property
     def acceleration(self) -> ca.Function:
-        """q, v, u -> a (n_s,); built at the first use, since its expressions grow with the cube of n_s."""
+        """q, v, u -> a (n_s,); built at the first use."""
         return _forward(self)[0]
 
     @property
@@ -90,17 +102,26 @@ class ReducedDynamics:
 @functools.lru_cache(maxsize=64)
 def _forward(dynamics: ReducedDynamics) -> tuple[ca.Function, ca.Function]:
     """Return `acceleration` and `flow`: M_r a = Gamma^T B u - b_r, q' = Gamma v."""
-    of = dynamics.residual
-    q, v, _, u, *further = (ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in()))
-    bias = dynamics.inverse_dynamics(q, v, ca.SX.zeros(v.numel()), *further)
-    along = dynamics.along_freedoms(q, dynamics.effort_map(q, *further) @ u - bias)
-    a = solve_positive(dynamics.reduced_inertia(q, *further), along)
-    rates, a = (ca.densify(one) for one in ca.cse([dynamics.velocity_map(q, *further) @ v, a]))
+    q, v, _, u, *further = _symbols(dynamics, ca.SX)
     inputs, names = [q, v, u, *further], ["i0", "i1", "i2"] + [_PARAMETERS] * len(further)
+    found = [dynamics.velocity_map(q, *further) @ v, dynamics.driven(*inputs)]
+    if solved_in_numbers(len(dynamics.independent)):
+        terms = ca.Function("terms", inputs, [ca.densify(one) for one in ca.cse(found)])
+        q, v, _, u, *further = _symbols(dynamics, ca.MX)
+        inputs = [q, v, u, *further]
+        found = list(terms(*inputs))
+    rates, driven = found
+    rates, a = (ca.densify(one) for one in ca.cse([rates, solve_positive(dynamics.reduced_inertia(q, *further), driven)]))
     return (
         ca.Function("acceleration", inputs, [a], names, ["o0"]),
         ca.Function("flow", inputs, [rates, a], names, ["o0", "o1"]),
     )
+
+
+def _symbols(dynamics: ReducedDynamics, kind: type) -> list:
+    """Return symbols of q, v, a, u and parameters: scalars (SX) or matrices (MX)."""
+    of = dynamics.residual
+    return [kind.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
 
 
 def acceleration_at(dynamics: ReducedDynamics, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -115,11 +136,9 @@ def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
 
     r is the residual without dry friction. Near rest, smoothed dry friction would add damping that no machine has.
     """
-    of = dynamics.sliding
-    inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
-    q, v, _, u, *further = inputs
-    left = of(*inputs)
-    slopes = ca.Function("slopes", inputs, [ca.horzcat(ca.jacobian(left, q), ca.jacobian(left, v))])
+    scalars = _symbols(dynamics, ca.SX)
+    slopes = ca.Function("slopes", scalars, [ca.jacobian(dynamics.sliding(*scalars), ca.vertcat(*scalars[:2]))])
+    q, v, _, u, *further = _symbols(dynamics, ca.MX if solved_in_numbers(len(dynamics.independent)) else ca.SX)
     by = slopes(q, v, dynamics.acceleration(q, v, u, *further), u, *further)
     by_q, by_v = by[:, : q.numel()], by[:, q.numel() :]
     right = ca.horzcat(-by_q @ dynamics.velocity_map(q, *further), -by_v, dynamics.effort_map(q, *further))

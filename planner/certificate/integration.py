@@ -324,10 +324,10 @@ def _inputs(mechanism: Mechanism, trajectory: Trajectory) -> np.ndarray:
 def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
     """Return the model's right-hand side: (state, coefficients of `_inputs`, share of the interval) to its rate."""
     n, n_forces = mechanism.n_q + mechanism.dof, 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)
-    x, flat, tau = ca.SX.sym("x", n), ca.SX.sym("u", n_coefficients * n_u + 4 * n_forces), ca.SX.sym("tau")
+    x, flat, tau = ca.MX.sym("x", n), ca.MX.sym("u", n_coefficients * n_u + 4 * n_forces), ca.MX.sym("tau")
     own, pushing = ca.vertsplit(flat, [0, n_coefficients * n_u, flat.numel()])
     effort = bernstein_value(ca.reshape(own, n_coefficients, n_u), tau).T
     powers = ca.vertcat(1, tau, tau**2, tau**3)
     forces = [ca.reshape(pushing, n_forces, 4) @ powers] if n_forces else []
     rates = mechanism.forced.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort, *forces)
-    return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})
+    return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)])

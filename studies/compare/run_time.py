@@ -72,5 +72,7 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
 
 
 def _size(function: ca.Function) -> int:
-    """Return the number of operations of a CasADi function."""
-    return int(function.n_instructions()) if function.is_a("SXFunction") else int(function.n_nodes())
+    """Return the number of operations of a CasADi function, and of those that it calls."""
+    if function.is_a("SXFunction"):
+        return int(function.n_instructions())
+    return int(function.n_nodes()) + sum(_size(inner) for inner in function.find_functions(0))

@@ -129,10 +129,16 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
 
 
 def _planned(mechanism: Mechanism, tables: dict[str, dict], say: Say) -> Plan:
-    """Return the plan of a problem; of a large robot, whose smooth path is usually feasible, this path is tried first."""
+    """Return the plan of a problem; of a large robot, whose smooth path is usually feasible, this path is tried first.
+
+    A certificate of this path that takes all the time leaves none for a search.
+    """
     problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-    if is_large(mechanism) and (smooth := plan_motion(problem, say, (), (nothing_found,))).passed:
-        return smooth
+    deadline = Deadline().within(problem.solver.max_time_s)
+    if is_large(mechanism):
+        smooth = plan_motion(problem, say, (), (nothing_found,))
+        if smooth.passed or deadline.passed:
+            return smooth
     return plan_motion(problem, say)
 
 

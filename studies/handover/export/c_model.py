@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import advance_all
+from linkplan.models.reduction.elimination import solve_positive
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.handover.export.c_source import CFunction, function_of, helpers, identifier
 from linkplan.studies.handover.export.c_text import (
@@ -86,7 +87,7 @@ def model_code(mechanism: Mechanism) -> ModelCode:
         "bias": ([("q", q), ("v", v)], [("effort", dynamics.inverse_dynamics(q, v, still))]),
         "inverse_dynamics": ([("q", q), ("v", v), ("a", a)], [("effort", effort)]),
         DERIVATIVES: ([("q", q), ("v", v), ("a", a)], [("effort_by_s", slopes[0]), ("effort_by_v", slopes[1])]),
-        "acceleration": ([("q", q), ("v", v), ("u", u)], [("a", dynamics.acceleration(q, v, u))]),
+        "acceleration": ([("q", q), ("v", v), ("u", u)], [("a", solve_positive(inertia, dynamics.driven(q, v, u)))]),
     }
     if mechanism.n_u == 0:
         del parts["transmission"], parts["acceleration"]

@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.models.deadline import Deadline
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import Say
 from linkplan.studies.check.new.changes import changed_mechanism
 from linkplan.studies.check.new.first_motion import first_motion
 from linkplan.studies.check.new.hanging import at_gravity_equilibrium
@@ -179,6 +184,22 @@ def test_the_smooth_path_of_a_large_robot_is_its_first_motion(monkeypatch):
     assert first.planned
     assert first.plan.solved is None
     assert first.tables["solver"]["max_time_s"] >= 5
+
+
+def test_a_smooth_path_that_takes_all_the_time_leaves_none_for_a_search(monkeypatch):
+    tried = []
+
+    def late(problem: Problem, _say: Say, methods: tuple = (None,), _diagnoses: tuple = ()) -> Plan:
+        tried.append(methods)
+        deadline = Deadline().within(problem.solver.max_time_s)
+        while not deadline.passed:
+            pass
+        return Plan(problem=problem, verdict=failed("no motion"))
+
+    for name, value in (("plan_motion", late), ("_TIME_BUDGET_S", 0.1), ("_MIN_SOLVE_S", 0.05)):
+        monkeypatch.setattr(f"linkplan.studies.check.new.first_motion.{name}", value)
+    assert not first_motion({"model": arm(6, 6)}, lambda _: None).planned
+    assert set(tried) == {()}, "no search follows"
 
 
 # A light driven joint turns a heavy one by a coupling with constant impedance; no weight acts about vertical axes.
