@@ -50,6 +50,7 @@ def plan_from(
     worth: float = np.inf,
     least: float = -np.inf,
     repaired: bool = True,
+    graded: bool = False,
 ) -> Plan | None:
     """Return the plan from a start, whether its certificate passes or not; None if no motion is found.
 
@@ -62,10 +63,11 @@ def plan_from(
         least: and at least this, because coarse meshes have false motions that cost far too little.
         repaired: whether every repair is tried on a motion that does not pass; False until the phase plane's least time is
             known.
+        graded: whether the first mesh is finer where the start is fast.
     """
     problem = search.within(budget)
     missed = None
-    for found in _solved(problem, guess, f"start from {what}" if recorded() else "first solve", search):
+    for found in _solved(problem, guess, f"start from {what}" if recorded() else "first solve", search, graded=graded):
         if not least <= found.solution.objective < worth:
             continue
         found, unbounded = with_longer_durations(problem, found)
@@ -91,7 +93,7 @@ def of_several(problem: Problem) -> bool:
     return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and problem.mesh.breaks is None
 
 
-def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterator[Iterate]:
+def _solved(problem: Problem, guess: Guess, word: str, search: Search, *, graded: bool) -> Iterator[Iterate]:
     """Yield solutions from a start, the most promising first.
 
     If the phase plane's switches are known, efforts are fixed between them and only the switch times are unknown. If this
@@ -104,13 +106,15 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterat
     if guess.switch_times_s is not None and search.only_time_counts:
         n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
         held = f"{word}, bang efforts fixed"
-        graded = graded_mesh(guess, guess.switch_times_s, n)
-        first = attempt(case, guess, *graded, held, bang_efforts=guess.bang_efforts)
+        along = graded_mesh(guess, guess.switch_times_s, n)
+        first = attempt(case, guess, *along, held, bang_efforts=guess.bang_efforts)
         if first is not None and first.solution.objective <= GRID_ERROR_FACTOR * guess.duration_s:
             yield first
         else:
             found.append(first)
-    found.append(attempt(case, guess, *first_mesh(problem, guess), word))
+    graded = graded and problem.mesh.breaks is None
+    mesh = graded_mesh(guess, np.zeros(0), problem.mesh.intervals) if graded else first_mesh(problem, guess)
+    found.append(attempt(case, guess, *mesh, word))
     yield from sorted(
         (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
     )

@@ -97,7 +97,8 @@ def swings_may_be_better(search: Search) -> bool:
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan from the user's guess, or else from the smoothest path."""
-    return _first_of(search, budget, search.first_starts(), repaired=not search.only_time_counts)
+    repaired = not search.only_time_counts and search.problem.motion.turns is None
+    return _first_of(search, budget, search.first_starts(), repaired=repaired)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
@@ -113,6 +114,10 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     if legs is not None and legs.passed:
         assert legs.objective is not None
         least = legs.objective - _FALSE_SHARE * abs(legs.objective)
+        along = guess_from(legs.require_motion("start from"))
+        plan = plan_from(search, budget, "the cheapest legs", along, repaired=False, graded=True)
+        if plan is not None and plan.passed:
+            return plan
     return _first_of(search, budget, of_the_phase_plane(search, budget), least=least)
 
 
