@@ -16,6 +16,7 @@ from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.closed_chain.transcribe import own_objective
+from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import failed, out_of_time
 from linkplan.planner.problem.problem import Problem
@@ -32,6 +33,7 @@ from linkplan.planner.search.solving import (
     graded_mesh,
     with_longer_durations,
 )
+from linkplan.planner.solvers.solve import NO_MOTION
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
@@ -39,6 +41,9 @@ from linkplan.planner.transcription.mesh import halved
 _SMOOTHING_WEIGHTS = tuple(share * SMOOTHING_WEIGHT for share in (1e-1, 1e-2, 1e-3))
 # The mesh of a tracking motion is halved up to this number of intervals.
 _MAX_INTERVALS = 160
+# An acceleration without jumps takes an interval from one of its limits to the other, so that coarse meshes may have no
+# motion: in 1 % more than the least time it needs 80 intervals. The first mesh is halved up to this number of times.
+_FINER_MESHES = 2
 
 
 def plan_from(
@@ -102,7 +107,7 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search, *, graded
     """
     if not closes(problem, guess):
         return
-    case, found = case_of(problem), []
+    case, found, is_first = case_of(problem), [], not recorded()
     if guess.switch_times_s is not None and search.only_time_counts:
         n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
         held = f"{word}, bang efforts fixed"
@@ -115,6 +120,12 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search, *, graded
     graded = graded and problem.mesh.breaks is None
     mesh = graded_mesh(guess, np.zeros(0), problem.mesh.intervals) if graded else first_mesh(problem, guess)
     found.append(attempt(case, guess, *mesh, word))
+    finer = is_first and bool(smooth_columns(problem)) and problem.mesh.breaks is None
+    for _ in range(_FINER_MESHES if finer else 0):
+        if any(found) or [step.solver_status for step in recorded()[-1:]] != [NO_MOTION]:
+            break
+        mesh = halved(mesh[0], np.ones(mesh[0].n_intervals, dtype=bool)), mesh[1]
+        found.append(attempt(case, guess, *mesh, f"{word}, finer mesh"))
     yield from sorted(
         (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
     )

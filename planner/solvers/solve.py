@@ -28,6 +28,7 @@ _ITERATIONS_AGAIN = 100
 SUCCEEDED = "Solve_Succeeded"
 OUT_OF_TIME = "Maximum_CpuTime_Exceeded"
 OUT_OF_ITERATIONS = "Maximum_Iterations_Exceeded"
+NO_MOTION = "Infeasible_Problem_Detected"
 INVALID = "Invalid_Number_Detected"
 
 

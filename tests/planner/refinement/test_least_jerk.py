@@ -43,7 +43,7 @@ def least_jerk(limit: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [1.05, 1.25])
+@pytest.mark.parametrize("share", [1.0125, 1.05, 1.25])
 def test_the_least_jerk_under_an_acceleration_limit_is_that_of_the_maximum_principle(share):
     """4 d / T^2 is the least acceleration that covers the distance, 5.77 d / T^2 that of the least jerk without a limit."""
     limit = share * 4 * DISTANCE_M / DURATION_S**2
