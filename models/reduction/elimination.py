@@ -7,11 +7,10 @@ the size; those of larger blocks come from Givens rotations, which keep the sign
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 
-# Expressions of scalars, or of matrices.
-Symbols = ca.SX | ca.MX
 # Largest block that is solved by Cramer's rule, which gives the shortest expressions up to this size.
 _MAX_CRAMER_SIZE = 3
 # Largest block whose determinant is expanded: a dense one of twelve rows has 4096 minors.
@@ -48,10 +47,10 @@ def solved_in_numbers(n: int) -> bool:
     return n > _MAX_CRAMER_SIZE
 
 
-def solve_positive(A: Symbols, b: Symbols) -> Symbols:
+def solve_positive(A: Any, b: Any) -> Any:
     """Return A^-1 b for a positive definite A such as an inertia. Beyond three unknowns LDL^T is a quarter as long as QR.
 
-    For expressions of matrices it is one node that factorises numbers by LDL^T.
+    A and b are expressions of scalars (SX), or of matrices (MX): then one node factorises numbers by LDL^T.
     """
     if isinstance(A, ca.MX):
         return ca.solve(A, b, "ldl")
