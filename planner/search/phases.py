@@ -41,7 +41,7 @@ from linkplan.planner.transcription.program import Program
 # First starts: whether a release is guessed with a raised body, and the durations of phases in units of the time in which a
 # body falls by half of the mechanism's extent. The best of the first is refined; the others follow while there is none.
 _STARTS = ((True, 1.0), (True, 0.4), (False, 1.0), (False, 0.4), (True, 2.5), (False, 2.5))
-_TRIED = 3
+_TRIED_STARTS = 3
 # The weights, of the first solve and of the others, on time and effort that choose among motions of equal height.
 _FIRST_TIE_WEIGHT, _LAST_TIE_WEIGHT = 1e-1, 1e-3
 # The largest number of meshes; the most iterations of a solve, and those after which its functions are compiled.
@@ -72,7 +72,7 @@ def _first_motion(asked: PhasedProblem) -> tuple[PhaseSet, PhasedMotion] | Verdi
     of = phase_set(asked, phase_poses(asked, _STARTS[0][0]))
     best: tuple[PhaseSet, PhasedMotion] | None = None
     for number, (extended, pace) in enumerate(_STARTS):
-        if best is not None and number >= _TRIED:
+        if best is not None and number >= _TRIED_STARTS:
             break
         if number and extended != _STARTS[number - 1][0]:
             at = phase_poses(asked, extended)
