@@ -17,7 +17,9 @@ from linkplan.planner.certificate.further_checks import objective_value, with_co
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.closed_chain.prescribed import (
+    along_reference,
     at_rate,
+    balanced_rates,
     highest_rate,
     holding_at,
     prescribe,
@@ -312,16 +314,22 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     progress("following the reference")
     trajectory = prescribe(problem, start_pose)
     along = samples_of(problem, trajectory)
-    need = undriven_need(along)
-    if need is not None:
-        words = f"on the reference no actuator can give the {need.value:.4g} {need.unit} needed on joint {need.name}"
-        verdict = infeasible(f"{words} at t = {need.time_s:.4g} s", known_by="reference", overruns=(need,))
-        return Plan(problem=problem, verdict=verdict)
-    over = reference_overrun(along)
+    need = undriven_need(along, along.lacking_allowed)
+    over = None if need else reference_overrun(along)
     if over is not None:
         return _too_fast(problem, start_pose, over)
     certificate = certify(problem, trajectory)
+    if not certificate.passed:
+        need = need or undriven_need(along, along.lacking_rounding)
+    if need is not None:
+        return Plan(problem=problem, verdict=_undriven(need))
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
+
+
+def _undriven(need: Overrun, durations: str = "") -> Verdict:
+    """Return the verdict on a reference that needs an effort that no actuator can give."""
+    words = f"on the reference no actuator can give the {need.value:.4g} {need.unit} needed on joint {need.name}"
+    return infeasible(f"{words} at t = {need.time_s:.4g} s{durations}", known_by="reference", overruns=(need,))
 
 
 def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
@@ -334,9 +342,13 @@ def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
         verdict = _beyond_on_reference(sentence, over).adding(f"{nearest.format(kind)} not break it")
         return Plan(problem=problem, verdict=verdict, details=details)
     progress("searching for the highest feasible rate")
-    rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
+    rate, reference = None, problem.reference
     at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
     remedy, would_do = "no slower one satisfies the limits", {}
+    if balanced_rates(problem, start_pose) is None:
+        rate = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0)
+    else:
+        remedy = "no slower one is possible, because a joint has no actuator"
     if rate is not None:
         details["least_duration_s"] = reference.period_s / rate
         would_do = {"motion.duration_s": rounded_up(reference.period_s / rate)}
@@ -361,6 +373,10 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
     motion, own_s = problem.motion, problem.reference.period_s
     slowest = own_s / motion.max_duration_s if motion.max_duration_s else _LOWEST_RATE
     fastest = own_s / motion.min_duration_s if motion.min_duration_s else _HIGHEST_RATE
+    balanced = balanced_rates(problem, start_pose)
+    if balanced is not None:
+        nearest = float(np.clip(1.0, slowest, fastest))
+        return _plan_balanced(problem, start_pose, [rate for rate in balanced if slowest <= rate <= fastest], nearest)
     rate = highest_rate(problem, start_pose, slowest, fastest)
     if rate is None:
         margins = rate_margins(problem, start_pose, slowest)
@@ -370,14 +386,45 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
     if rate == fastest and motion.min_duration_s is None:
         words = f"no limit is reached at {fastest:g} times the speed of the reference; set motion.min_duration_s"
         return Plan(problem=problem, verdict=failed(words, "duration"))
-    trajectory = prescribe(at_rate(problem, rate), start_pose)
     binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.share)
-    said = (
-        f"the reference in {own_s / rate:.6g} s, {rate:.4g} times as fast as its own {own_s:.6g} s:"
-        f" {'the shortest that motion.min_duration_s allows' if rate == fastest else binding.bound + ' allows no more'}"
-    )
+    why = "the shortest that motion.min_duration_s allows" if rate == fastest else binding.bound + " allows no more"
+    return _at_rate(problem, start_pose, rate, why)
+
+
+def _at_rate(problem: Problem, start_pose: np.ndarray, rate: float, why: str) -> Plan:
+    """Return the plan of the reference at a rate, the highest for a reason."""
+    trajectory, own_s = prescribe(at_rate(problem, rate), start_pose), problem.reference.period_s
+    said = f"the reference in {own_s / rate:.6g} s, {rate:.4g} times as fast as its own {own_s:.6g} s: {why}"
     plan = finished(problem, trajectory, certify(problem, trajectory), 0.0, said)
     return replace(plan, details={**plan.details, "rate": rate, "least_duration_s": own_s / rate})
+
+
+def _plan_balanced(problem: Problem, start_pose: np.ndarray, rates: list[float], nearest: float) -> Plan:
+    """Return the plan at the highest of those rates at which joints without an actuator can follow the reference.
+
+    If there is none, the verdict is on the rate `nearest` to the reference's own.
+    """
+    own_s, blocked = problem.reference.period_s, None
+    for rate in reversed(rates):
+        along = along_reference(at_rate(problem, rate), start_pose)
+        if undriven_need(along, along.lacking_allowed) is not None:
+            continue
+        over = reference_overrun(along)
+        if over is None:
+            plan = _at_rate(problem, start_pose, rate, "joints without an actuator follow it in no shorter time")
+        else:
+            words = f"in {own_s / rate:.6g} s, in which all joints can follow the reference, {over.sentence()}"
+            plan = Plan(problem=problem, verdict=_beyond_on_reference(words, over))
+        if plan.passed:
+            return plan
+        if over is not None or undriven_need(along, along.lacking_rounding) is None:
+            blocked = plan
+    if blocked is not None:
+        return blocked
+    along = along_reference(at_rate(problem, nearest), start_pose)
+    need = undriven_need(along, along.lacking_rounding)
+    assert need is not None  # else all joints can follow the reference at this rate
+    return Plan(problem=problem, verdict=_undriven(need, f" of {own_s / nearest:.4g} s, nor in another allowed duration"))
 
 
 def plan_hold(problem: Problem) -> Plan:

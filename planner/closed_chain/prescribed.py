@@ -159,8 +159,12 @@ def at_rate(problem: Problem, rate: float) -> Problem:
 
 def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[Margin]:
     """Return the margins of all limits along the reference, followed `rate` times as fast."""
-    faster = at_rate(problem, rate)
-    return list(margins_along(samples_of(faster, prescribe(faster, start_pose))))
+    return list(margins_along(along_reference(at_rate(problem, rate), start_pose)))
+
+
+def along_reference(problem: Problem, start_pose: np.ndarray) -> Samples:
+    """Return samples of the reference."""
+    return samples_of(problem, prescribe(problem, start_pose))
 
 
 def reference_overrun(at: Samples) -> Margin | None:
@@ -169,15 +173,37 @@ def reference_overrun(at: Samples) -> Margin | None:
     return min(over, key=lambda margin: margin.share, default=None)
 
 
-def undriven_need(at: Samples) -> Overrun | None:
-    """Return the largest generalised effort that the reference needs and that no actuator can give; None without any."""
+def undriven_need(at: Samples, allowed: float) -> Overrun | None:
+    """Return the largest generalised effort, if above the allowed one, that the reference needs and no actuator can give."""
     missed = needed_efforts(at.problem, at.q, at.v, at.a, at.time)[1]
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
-    if abs(missed[k, row]) <= at.lacking_allowed:
+    if abs(missed[k, row]) <= allowed:
         return None
     joint, value = at.problem.mechanism.independent_joints[row], float(missed[k, row])
     unit = joint.si_units[1]
     return Overrun(limit="effort", name=joint.name, value=value, bound=0.0, unit=unit, time_s=float(at.time[k]))
+
+
+def balanced_rates(problem: Problem, start_pose: np.ndarray) -> list[float] | None:
+    """Return the rates at which joints without an actuator can follow the reference, if at any; None if at all rates.
+
+    At a rate r the reference lacks a + b r + c r^2. Where this is zero, the sum of its squares is stationary.
+    """
+    guess, own = reference_guess(problem, start_pose), np.array([0.5, 1.0, 2.0])
+    time = np.linspace(0.0, guess.duration_s, _BOUNDING_INSTANTS)
+    poses = poses_along(problem.mechanism, guess, time, problem.solver.deadline)
+    v, a = guess.velocity(time), guess.acceleration(time)
+    missed = np.array([needed_efforts(problem, poses, r * v, r**2 * a)[1].ravel() for r in own])
+    if np.abs(missed).max() <= missed_rounding(effort_bounds(problem)):
+        return None
+    along = [along_reference(at_rate(problem, rate), start_pose) for rate in own]
+    if all(undriven_need(at, at.lacking_rounding) is None for at in along):
+        return None
+    parts = np.linalg.solve(np.vander(own, increasing=True), missed)
+    products = parts @ parts.T
+    squares = np.polynomial.Polynomial([np.trace(products[::-1], k) for k in range(-2, 3)])
+    roots = squares.deriv().roots()
+    return sorted({1.0, *(float(r.real) for r in roots if r.real > 0 and abs(r.imag) < _NEAR_BOUND * abs(r))})
 
 
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:

@@ -141,14 +141,19 @@ class Samples(Poses):
 
     @cached_property
     def lacking_allowed(self) -> float:
-        """The largest generalised effort that the planned efforts may lack.
+        """The largest generalised effort that the planned efforts may lack."""
+        given = np.einsum("ksu,ku->ks", self.demanded[1], self.u)
+        return max(DYNAMICS_SHARE * float(np.abs(given).max()), self.lacking_rounding)
 
-        Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
+    @cached_property
+    def lacking_rounding(self) -> float:
+        """The generalised effort that is rounding: of efforts, and of the inertia's effort (measured: 1e-7).
+
+        The latter counts without any effort, as for a crank that turns freely.
         """
-        inertia, limit = sampled(self.problem.mechanism.dynamics.reduced_inertia, self.q), self.problem.limits.effort
-        inertial, given = np.einsum("kst,kt->ks", inertia, self.a), np.einsum("ksu,ku->ks", self.demanded[1], self.u)
-        largest, rounding = DYNAMICS_SHARE * float(np.abs(given).max()), 1e-6 * float(np.abs(inertial).max())
-        return max(largest, missed_rounding(limit), rounding)
+        inertia = sampled(self.problem.mechanism.dynamics.reduced_inertia, self.q)
+        inertial = float(np.abs(np.einsum("kst,kt->ks", inertia, self.a)).max())
+        return max(missed_rounding(self.problem.limits.effort), 1e-6 * inertial)
 
     @cached_property
     def leverage(self) -> Leverage:

@@ -110,6 +110,37 @@ def test_bounds_on_a_free_duration_of_a_table_are_kept(asked, status, words):
     assert words in plan.message
 
 
+@pytest.mark.parametrize(
+    ("asked", "strength", "status", "words"),
+    [
+        ({"duration_s": "free"}, 20.0, "optimal", "the reference in 0.50000"),
+        (
+            {"duration_s": "free"},
+            0.1,
+            "infeasible",
+            " s, in which all joints can follow the reference, the effort of F comes to",
+        ),
+        ({"duration_s": "free", "min_duration_s": 0.7}, 20.0, "infeasible", "needed on joint z at t = "),
+        ({"duration_s": "free", "max_duration_s": 0.4}, 20.0, "infeasible", " of 0.4 s, nor in another allowed duration"),
+        ({}, 20.0, "infeasible", "needed on joint z at t = "),
+    ],
+)
+def test_a_joint_without_a_motor_follows_a_table_in_its_own_period_only(asked, strength, status, words):
+    """A mass of 0.2 kg on a spring of 0.2 (4 pi)^2 N/m oscillates in 0.5 s; the table has a period of 1 s."""
+    body = '<body pos="0 {0} 0"><joint name="{1}" type="slide" stiffness="{2}"/><geom size="0.05" mass="0.2"/></body>'
+    text = (
+        '<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>'
+        f"{body.format(0, 'x', 0)}{body.format(1, 'z', 0.2 * (4 * np.pi) ** 2)}</worldbody><actuator>"
+        f'<motor name="F" joint="x" ctrlrange="-{strength} {strength}"/></actuator></mujoco>'
+    )
+    time = np.linspace(0, 1, 201)
+    wave = (0.1 * np.cos(2 * np.pi * np.mod(time, 1.0))).tolist()
+    table = {"time_s": time.tolist(), "position_m": {"x": wave, "z": wave}}
+    plan = plan_motion(Problem.track(load_mechanism(text), reference=table, **asked))
+    assert plan.status == status, plan.message
+    assert words in plan.message
+
+
 def test_a_table_that_is_too_fast_is_answered_with_the_least_duration():
     plan = body_plan(HINGE, RISE.replace("1.0]", "0.5]"))
     assert plan.status == "infeasible"
