@@ -18,7 +18,7 @@ from linkplan.planner.closed_chain.mechanics import (
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
-from linkplan.planner.limits.efforts import end_efforts, holds_at_rest
+from linkplan.planner.limits.efforts import end_efforts, hold_a_free_goal, holds_at_rest
 from linkplan.planner.limits.joints import bounds_of_state
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
@@ -45,14 +45,14 @@ SMOOTHING_WEIGHT = 2.5e-9
 FIRST_TIE_WEIGHT, TIE_WEIGHT = 1e-2, 5e-4
 
 
-def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
+def free_goal_endpoint(problem: Problem, scales: Scales, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
     """Return the endpoint rows of a motion with a free goal pose, and their parameters: the coordinates [m or rad].
 
-    If the goal pose is prescribed, there is no endpoint and no parameter.
+    Efforts with a limited rate hold the pose. If the goal pose is prescribed, there is no endpoint and no parameter.
 
     Args:
         problem: the problem.
-        unit: units of the independent positions (n_s,) [rad or m].
+        scales: units of its unknowns.
         n_z: the number of algebraic unknowns; the dependent joints come first.
     """
     mechanism, motion = problem.mechanism, problem.motion
@@ -62,15 +62,24 @@ def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoin
     first, last, duration = (ca.SX.sym(*of) for of in (("first", 2 * n_s), ("last", 2 * n_s), ("duration", 1)))
     asked = ca.SX.sym("asked", len(motion.goal_rows))
     z = ca.SX.sym("z", n_z)
-    q = in_order(mechanism, last[:n_s] * ca.DM(unit), z[:n_dependent])
+    q = in_order(mechanism, last[:n_s] * ca.DM(scales.position), z[:n_dependent])
     every = coordinates_of(motion.goal_at)
     ends = [every[row] for row in motion.goal_rows]
     at = ca.vertcat(*[expression_of(mechanism, index, axis, q) for index, axis, _ in ends])
     units = ca.DM([unit_of(mechanism, axis) for _, axis, _ in ends])
-    column = ca.vertcat((at - asked) / units, 0.0)
-    inputs = [first, last, duration, asked, *([z] if n_dependent else [])]
-    function = ca.Function("site_end", inputs, [column])
-    endpoint = Endpoint(function=function, n_rows=len(ends), algebraic=bool(n_dependent))
+    held, u, holding = hold_a_free_goal(problem), ca.SX.sym("u", mechanism.n_u), ca.SX(0, 1)
+    if held:
+        still = ca.SX.zeros(n_s)
+        forces = () if mechanism.forces is None else mechanism.forces_at(np.array([motion.duration_s]))
+        demand = (mechanism.forced if forces else mechanism.dynamics).inverse_dynamics(
+            q, still, still, *(w.T for w in forces)
+        )
+        holding = u[held] - (ca.solve(mechanism.dynamics.effort_map(q), demand) / scales.effort)[held]
+    column = ca.vertcat((at - asked) / units, holding, 0.0)
+    inputs = [first, last, duration, asked, *([z] if n_dependent else []), *([u] if held else [])]
+    function = ca.Function("goal_end", inputs, [column])
+    n_rows = len(ends) + len(held)
+    endpoint = Endpoint(function=function, n_rows=n_rows, algebraic=bool(n_dependent), effort=bool(held))
     return endpoint, np.array([value for _, _, value in ends])
 
 
@@ -114,7 +123,7 @@ def formulate(
     positive = np.tile([0.0, np.inf], (n_works, 1))
     bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
     path = np.vstack([bounds, free_bounds(len(asked.passed)), positive])
-    endpoint, places = site_endpoint(problem, scales.position, n_z)
+    endpoint, places = free_goal_endpoint(problem, scales, n_z)
     free_at_end = tuple(np.flatnonzero(problem.free_spins).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in free_at_end)
     return Formulation(
@@ -150,7 +159,7 @@ def formulate(
         passed=_passed_rows(problem, asked),
         peak=None if least_limit or not objective.has("peak_effort") else objective.weight("peak_effort") / value,
         endpoint=endpoint,
-        endpoint_bounds=np.zeros((len(places), 2)),
+        endpoint_bounds=np.zeros((endpoint.n_rows if endpoint else 0, 2)),
         endpoint_parameters=places,
     )
 

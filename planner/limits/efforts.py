@@ -195,19 +195,32 @@ class EffortRateLimit(Limit):
         return with_limits(problem, effort_rate=problem.limits.effort_rate * min(factor, RELAXED_FACTOR))
 
 
-def holds_at_rest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def holds_at_rest(problem: Problem, end: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return for start and goal the weighted sums of accelerations, as weights (n, n_s), that are zero there at rest.
 
     An effort with a limited rate holds a rest, except an initial effort that is given, so that only the other efforts
-    accelerate the mechanism. A goal whose pose is free is held only if the rates of all efforts are limited.
+    accelerate the mechanism. A goal whose pose is free is that where the motion ends, `end` (n_s,). Without it the sums are
+    known only if the rates of all efforts are limited.
     """
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
     limited = np.any(np.isfinite(limits.effort_rate), axis=1)
     if motion.kind != "reach" or mechanism.n_u < mechanism.dof or not limited.any():
         return np.zeros((0, mechanism.dof)), np.zeros((0, mechanism.dof))
     given = np.any(np.isfinite(limits.initial_effort), axis=1)
-    goal = None if motion.goal_is_free else motion.goal
+    goal = end if motion.goal_is_free else motion.goal
     return _held_sums(mechanism, motion.start, limited & ~given), _held_sums(mechanism, goal, limited)
+
+
+def hold_a_free_goal(problem: Problem) -> list[int]:
+    """Return the actuators whose efforts hold the goal at rest in a pose that is not known before, but not all of them.
+
+    Each has the effort of its own that holds the pose, because there are as many actuators as freedoms.
+    """
+    motion, mechanism = problem.motion, problem.mechanism
+    limited = np.any(np.isfinite(problem.limits.effort_rate), axis=1)
+    rests = motion.goal_speed is None or not np.any(motion.goal_speed)
+    asked = motion.kind == "reach" and motion.goal_is_free and rests and mechanism.n_u == mechanism.dof
+    return np.flatnonzero(limited).tolist() if asked and not limited.all() else []
 
 
 def _held_sums(mechanism: Mechanism, s: np.ndarray | None, holding: np.ndarray) -> np.ndarray:
@@ -266,7 +279,7 @@ def rest_jumps(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     start, goal = (
         float((np.abs(sums @ end) / np.abs(sums).sum(axis=1)).max(initial=0.0)) / size
-        for sums, end in zip(holds_at_rest(problem), ends, strict=True)
+        for sums, end in zip(holds_at_rest(problem, trajectory.position[-1, -1]), ends, strict=True)
     )
     return start, goal
 

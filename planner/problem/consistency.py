@@ -109,6 +109,18 @@ def _check_periodic(motion: Motion, objective: Objective, reference: Reference |
         )
 
 
+def check_open_goal(motion: Motion, mechanism: Mechanism, limits: Limits, mesh: MeshSettings) -> None:
+    """Refuse limits on the effort rates of some motors where these do not determine what holds an open goal."""
+    limited = np.any(np.isfinite(limits.effort_rate), axis=1)
+    asked = motion.kind == "reach" and motion.goal_is_free and limited.any() and not limited.all()
+    if asked and (mechanism.n_u > mechanism.dof or (mechanism.n_u == mechanism.dof and mesh.scheme.startswith("gauss"))):
+        raise ProblemError(
+            "limits.effort_rate of some motors only needs a goal of every independent joint, or as many motors as degrees of"
+            f" freedom and a mesh.scheme with a node at the end; got {mechanism.n_u} motors, {mechanism.dof} degrees of"
+            f" freedom, a goal whose pose is open, and {mesh.scheme}"
+        )
+
+
 def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) -> None:
     """Refuse a scheme without a node at an interval's end if the pose there is free."""
     needs_node = []

@@ -347,6 +347,7 @@ class Problem:
         consistency.check_guess(self.guess, self.mechanism)
         consistency.check_periods(self.motion, self.reference, self.mesh)
         consistency.check_robust(self.robust, self.mechanism)
+        consistency.check_open_goal(self.motion, self.mechanism, self.limits, self.mesh)
         consistency.check_node_at_end(self.motion, self.mechanism, self.mesh)
 
     def __repr__(self) -> str:

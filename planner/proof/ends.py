@@ -96,9 +96,10 @@ def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Findin
     columns = sorted({column for limit in limits_of(problem) for column in limit.rows.jerk})
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     jumps = np.abs(trajectory.acceleration_jumps())
+    every = holds_at_rest(problem, trajectory.position[-1, -1])
     held = [
         finding_of(f"efforts hold the {end} at rest", jump, NO_JUMP_SHARE, "of the largest")
-        for end, jump, sums in zip(("start", "goal"), rest_jumps(problem, trajectory), holds_at_rest(problem), strict=True)
+        for end, jump, sums in zip(("start", "goal"), rest_jumps(problem, trajectory), every, strict=True)
         if len(sums)
     ]
     return held + [

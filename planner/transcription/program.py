@@ -300,12 +300,13 @@ class _OpenEnds:
 class _Ends:
     """The endpoint's rows and cost with their derivatives, and their places in the whole program.
 
-    The local unknowns are e = [first state; last state; algebraic unknowns of the last node, if the endpoint needs them;
-    duration], where the duration is the sum of the segments' durations.
+    The local unknowns are e = [first state; last state; algebraic unknowns of the last node and last efforts, if needed by
+    the endpoint; duration], where the duration is the sum of the segments' durations.
     """
 
     def __init__(self, endpoint: Endpoint, layout: Layout, x: ca.MX, parameters: ca.MX) -> None:
-        places = endpoint.unknowns(layout.state(0), layout.state(layout.n_intervals), layout.dependent()[-1, -1])
+        ends, effort = (layout.state(0), layout.state(layout.n_intervals)), layout.effort()[-1, -1]
+        places = endpoint.unknowns(*ends, layout.dependent()[-1, -1], effort)
         size = len(places) + 1
         e, q = ca.SX.sym("e", size), ca.SX.sym("q", endpoint.n_parameters)
         F = endpoint.at(e[: size - 1], e[size - 1], q, layout.n_state)

@@ -93,25 +93,30 @@ class Endpoint:
     """Rows and a cost that depend on both ends of a motion.
 
     `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost]. If
-    `algebraic`, its fifth input is the algebraic unknowns (n_z,) of the last node, which must then lie at the end.
+    `algebraic`, its next input is the algebraic unknowns (n_z,) of the last node, which must then lie at the end. If
+    `effort`, its last input is the efforts (n_u,) at the end.
     """
 
     function: ca.Function
     n_rows: int
     algebraic: bool = False
+    effort: bool = False
 
     @property
     def n_parameters(self) -> int:
         """The number of parameters."""
         return int(self.function.size1_in(3))
 
-    def unknowns(self, first: Any, last: Any, z: Any) -> list:
-        """Return the unknowns except the duration in one list: first state, last state, and z if `algebraic`."""
-        return [*first, *last, *(z if self.algebraic else ())]
+    def unknowns(self, first: Any, last: Any, z: Any, u: Any) -> list:
+        """Return the unknowns except the duration in one list: first state, last state, and those asked for of z and u."""
+        return [*first, *last, *(z if self.algebraic else ()), *(u if self.effort else ())]
 
     def at(self, e: ca.SX, duration: ca.SX, parameters: ca.SX, n_state: int) -> ca.SX:
         """Return [rows; cost] at the unknowns e, in the order of `unknowns`."""
-        further = [e[2 * n_state :]] if self.algebraic else []
+        further, first = [], 2 * n_state
+        for k in range(4, self.function.n_in()):
+            further.append(e[first : first + self.function.size1_in(k)])
+            first += self.function.size1_in(k)
         return ca.densify(self.function(e[:n_state], e[n_state : 2 * n_state], duration, parameters, *further))
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.formulate import _exact_costs, _is_given_with_pose, formulate, site_endpoint
+from linkplan.planner.closed_chain.formulate import _exact_costs, _is_given_with_pose, formulate, free_goal_endpoint
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.mechanics import _row_kind
 from linkplan.planner.closed_chain.transcribe import choose_scales
 from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.problem import load_problem
 from tests.support.arms import LOWER, UPPER, foot_of
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -22,7 +23,9 @@ from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 def test_a_motion_ends_where_the_site_is_at_the_place_asked_for():
     motion = {"start_deg": {"J1": 60.0, "J2": 40.0, "J3": 20.0}, "goal_at": {"foot": [0.2, 0.0, -0.3]}, "duration_s": 0.5}
     problem, unit = site_problem(arm_of(0.25, 0.2, 0.15), motion), np.array([2.0, 0.5, 3.0])
-    ends, given = site_endpoint(problem, unit, 0)
+    ends, given = free_goal_endpoint(
+        problem, Scales(time_s=1.0, position=unit, effort=np.ones(3), residual=np.ones(3), length_m=1.0), 0
+    )
 
     def rows(position: np.ndarray) -> np.ndarray:
         last = np.concatenate([position / unit, np.zeros(3)])

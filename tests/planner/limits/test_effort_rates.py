@@ -7,6 +7,7 @@ import pytest
 
 from linkplan.controllers.imperfections.plant import held_before
 from linkplan.controllers.rollout import ControlLoop
+from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
@@ -78,6 +79,32 @@ def test_an_effort_with_a_limited_rate_holds_a_coupled_arm_against_its_weight():
     found = plan.trajectory.effort_at(np.array([0.0, plan.objective]))
     np.testing.assert_allclose(found[:, 1], held[:, 1], atol=1e-5)
     assert np.all(np.abs(found - held)[:, 0] > 1.0)
+
+
+def open_goal(text: str, **more) -> Problem:
+    """Return the problem of an arm whose tip goes to x = 0.4 m, with its height open."""
+    text = text.replace('<inertial pos="0.2 0 0"', '<site name="tip" pos="0.4 0 0"/><inertial pos="0.2 0 0"')
+    ends = {"start_deg": {"a": 0.0, "b": 40.0}, "goal_at": {"tip": {"x": 0.4}}, "duration_s": 0.4}
+    return Problem.reach(text, **ends, minimize="effort", limits={"effort_rate": {"mb": 40.0}}, **more)
+
+
+def test_an_effort_with_a_limited_rate_holds_a_goal_whose_pose_is_open():
+    plan = plan_motion(open_goal(ARM.format(most=12.0)))
+    assert plan.status == "optimal", plan.message
+    end = np.array([plan.trajectory.duration_s])
+    a, b = plan.trajectory.position_at(end)[0]
+    outer = 9.81 * 0.2 * np.cos(a + b)
+    effort = plan.trajectory.effort_at(end)[0]
+    assert effort[1] == pytest.approx(outer, abs=1e-5)
+    assert abs(effort[0] - (9.81 * np.cos(a) + outer)) > 1.0
+    assert plan.prove(existence=False).complete
+
+
+def test_motors_that_do_not_determine_what_holds_an_open_goal_are_refused():
+    third = '<motor name="mc" joint="a" ctrlrange="-9 9"/></actuator>'
+    for text, more in ((ARM.replace("</actuator>", third), {}), (ARM, {"mesh": {"scheme": "gauss-3"}})):
+        with pytest.raises(ProblemError, match="needs a goal of every independent joint"):
+            open_goal(text.format(most=12.0), **more)
 
 
 def test_a_motor_with_a_limited_rate_that_cannot_hold_its_joint_has_no_motion_from_rest():
