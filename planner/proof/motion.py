@@ -255,7 +255,8 @@ class State:
             return self.middle.at_dead_centre(leverage)
         maps = np.zeros((3, len(self.s), len(self.u)))
         for (i, k), entry in self.effort_map.items():
-            numbers = [float(x.mid()) for x in (entry.coeffs() if isinstance(entry, arb_series) else [entry])]
+            of = entry.coeffs() if isinstance(entry, arb_series) else [entry]
+            numbers = [float(x.mid()) for x in of] or [0.0]  # the series of zero has no coefficient
             maps[:, i, k] = np.polynomial.polynomial.polyval([-1.0, 0.0, 1.0], numbers)
         if not np.isfinite(maps).all():
             raise NotSeparatedError("a transmission is not enclosed")

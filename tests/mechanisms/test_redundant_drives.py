@@ -9,7 +9,17 @@ from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
-from tests.support.redundant import antagonist, hung_plate, hung_point, least_holding_efforts, two_motors
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point
+from tests.support.redundant import (
+    antagonist,
+    finger,
+    hung_plate,
+    hung_point,
+    least_holding_efforts,
+    three_legs,
+    two_motors,
+    unequal_antagonist,
+)
 
 SWING = {"start_deg": {"e": -30}, "goal_deg": {"e": 40}, "duration_s": 0.4}
 TABLE = {"time_s": [0, 0.2, 0.4], "position_deg": {"e": [-30, 0, 40]}}
@@ -33,6 +43,38 @@ def test_check_holds_every_pose_by_the_least_efforts_within_the_limits(text):
             else:
                 assert effort == pytest.approx(least, rel=1e-6, abs=1e-6)
     assert held > 5
+
+
+@pytest.mark.parametrize("make", [unequal_antagonist, finger, three_legs, hung_plate, hung_point, antagonist])
+def test_redundant_drives_hold_and_stiffen_a_pose_by_their_least_efforts(make):
+    """A pose is held by the efforts of least norm, and linearised about those of least norm within 90 % of each range.
+
+    Finite differences of the effort that is missing beside these give the stiffness of the linearised mechanism.
+    """
+    mechanism = loaded(make())
+    limit, n, home = mechanism.effort_limit, mechanism.dof, mechanism.home
+    rest, start = home[mechanism.independent], {"start_deg": {}, "start_m": {}}
+    for joint, s in zip(mechanism.independent_joints, rest, strict=True):
+        start[f"start_{joint.unit}"][joint.name] = joint.shown(s)
+    problem = linkplan.Problem.hold(mechanism, duration_s=0.2, **{key: value for key, value in start.items() if value})
+    plan = linkplan.plan(problem)
+    least = least_holding_efforts(mechanism, home, limit)
+    assert plan.passed, plan.message
+    np.testing.assert_allclose(plan.trajectory.effort_at(np.array([0.1]))[0], least, rtol=1e-6, atol=1e-9)
+    inside = limit + 0.05 * np.ptp(limit, axis=1, keepdims=True) * [1.0, -1.0]
+    hold = least_holding_efforts(mechanism, home, inside)
+
+    def missing(s: np.ndarray) -> np.ndarray:
+        still = np.zeros((1, n))
+        (tau,), (there,) = demanded(mechanism, close_at(mechanism, s)[None], still, still)
+        return tau - there @ hold
+
+    steps = 1e-5 * np.eye(n)
+    stiffness = np.array([(missing(rest + step) - missing(rest - step)) / 2e-5 for step in steps]).T
+    point, inertia = operating_point(mechanism, rest), np.array(mechanism.dynamics.reduced_inertia(home))
+    np.testing.assert_allclose(point.hold, hold, rtol=1e-6, atol=1e-6)
+    found = -inertia @ point.linearised()[0][n:, :n]
+    np.testing.assert_allclose(found, stiffness, rtol=1e-5, atol=1e-6 * np.abs(stiffness).max())
 
 
 def test_check_names_the_amount_by_which_the_limits_of_cables_fail():

@@ -59,6 +59,63 @@ def hung_plate() -> str:
     )
 
 
+def unequal_antagonist() -> str:
+    """Return an arm between two cables that run straight from the frame to places on the arm."""
+    fixed = '<site name="top" pos="-0.02 0 1.2"/><site name="low" pos="-0.02 0 0.8"/>'
+    moved = '<site name="a" pos="0.11 0 0.01"/><site name="b" pos="0.08 0 -0.01"/></body></worldbody>'
+    cables = "".join(
+        f'<spatial name="{n}"><site site="{n}"/><site site="{at}"/></spatial>' for n, at in (("top", "a"), ("low", "b"))
+    )
+    motors = "".join(
+        f'<motor name="m{n}" tendon="{n}" gear="-1" ctrlrange="5 {most}"/>' for n, most in (("top", 300), ("low", 200))
+    )
+    arm = _ARM.replace('range="-60 60"', 'range="-40 40"').replace("</body></worldbody>", moved)
+    return f"{_HEAD.format(name='straight')}{fixed}{arm}<tendon>{cables}</tendon><actuator>{motors}</actuator></mujoco>"
+
+
+def finger() -> str:
+    """Return two links and three tendons over both joints that only pull."""
+    links = """<body pos="0 0 1"><joint name="j1" axis="0 -1 0" range="-60 60"/>
+      <geom type="capsule" fromto="0 0 0 0.06 0 0" size="0.008" mass="0.08"/>
+      <body pos="0.06 0 0"><joint name="j2" axis="0 -1 0" range="-60 60"/>
+      <geom type="capsule" fromto="0 0 0 0.05 0 0" size="0.007" mass="0.05"/></body></body></worldbody>"""
+    arms = ((0.012, 0.009), (0.011, -0.009), (-0.014, 0.001))
+    tendons = "".join(
+        f'<fixed name="t{k}"><joint joint="j1" coef="{a}"/><joint joint="j2" coef="{b}"/></fixed>'
+        for k, (a, b) in enumerate(arms)
+    )
+    motors = "".join(f'<motor name="m{k}" tendon="t{k}" ctrlrange="{k + 1} 70"/>' for k in range(3))
+    return f"{_HEAD.format(name='finger')}{links}<tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
+
+
+def three_legs() -> str:
+    """Return a plate on three legs of two links in a vertical plane, with a motor at each base and one at an elbow."""
+    angles = np.radians([90, 210, 330])
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    bodies, closures = "", ""
+    for k, (base, end) in enumerate(zip(0.45 * around, 0.12 * around, strict=True)):
+        way = end - base
+        elbow = way / 2 + 0.14 * np.array([-way[1], way[0]]) / np.linalg.norm(way)
+        last = way - elbow
+        plate = ""
+        if k == 0:
+            plate = f"""<body name="plate" pos="{last[0]} {last[1]} 0"><joint name="C" axis="0 0 1"/>
+              <geom type="cylinder" size="0.1 0.01" pos="{-end[0]} {-end[1]} 0" mass="0.5"/></body>"""
+        else:
+            closures += f'<connect body1="l{k}" body2="plate" anchor="{last[0]} {last[1]} 0"/>'
+        bodies += f"""<body pos="{base[0]} {base[1]} 0"><joint name="A{k}" axis="0 0 1"/>
+          <geom type="capsule" fromto="0 0 0 {elbow[0]} {elbow[1]} 0" size="0.01" mass="0.3"/>
+          <body name="l{k}" pos="{elbow[0]} {elbow[1]} 0"><joint name="B{k}" axis="0 0 1"/>
+          <geom type="capsule" fromto="0 0 0 {last[0]} {last[1]} 0" size="0.008" mass="0.2"/>{plate}</body></body>"""
+    motors = "".join(f'<motor name="m{k}" joint="A{k}" ctrlrange="-{most} {most}"/>' for k, most in enumerate((1, 0.8, 1.2)))
+    head = _HEAD.format(name="legs").replace("<default>", '<option gravity="0 -9.81 0"/><default>')
+    return (
+        f"{head}{bodies}</worldbody>"
+        f'<equality>{closures}</equality><actuator>{motors}<motor name="m3" joint="B0" gear="2" ctrlrange="-0.3 0.3"/>'
+        "</actuator></mujoco>"
+    )
+
+
 def least_holding_efforts(mechanism: Mechanism, pose: np.ndarray, limit: np.ndarray) -> np.ndarray | None:
     """Return the efforts (n_u,) of least norm within limits that hold a pose (n_q,), by trying every active set."""
     still = np.zeros((1, mechanism.dof))
