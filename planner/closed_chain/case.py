@@ -375,8 +375,7 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
     fastest = own_s / motion.min_duration_s if motion.min_duration_s else _HIGHEST_RATE
     balanced = balanced_rates(problem, start_pose)
     if balanced is not None:
-        nearest = float(np.clip(1.0, slowest, fastest))
-        return _plan_balanced(problem, start_pose, [rate for rate in balanced if slowest <= rate <= fastest], nearest)
+        return _plan_balanced(problem, start_pose, *np.clip([1.0, *balanced], slowest, fastest).tolist())
     rate = highest_rate(problem, start_pose, slowest, fastest)
     if rate is None:
         margins = rate_margins(problem, start_pose, slowest)
@@ -399,13 +398,13 @@ def _at_rate(problem: Problem, start_pose: np.ndarray, rate: float, why: str) ->
     return replace(plan, details={**plan.details, "rate": rate, "least_duration_s": own_s / rate})
 
 
-def _plan_balanced(problem: Problem, start_pose: np.ndarray, rates: list[float], nearest: float) -> Plan:
+def _plan_balanced(problem: Problem, start_pose: np.ndarray, nearest: float, *rates: float) -> Plan:
     """Return the plan at the highest of those rates at which joints without an actuator can follow the reference.
 
     If there is none, the verdict is on the rate `nearest` to the reference's own.
     """
     own_s, blocked = problem.reference.period_s, None
-    for rate in reversed(rates):
+    for rate in sorted({nearest, *rates}, reverse=True):
         along = along_reference(at_rate(problem, rate), start_pose)
         if undriven_need(along, along.lacking_allowed) is not None:
             continue
@@ -423,7 +422,7 @@ def _plan_balanced(problem: Problem, start_pose: np.ndarray, rates: list[float],
         return blocked
     along = along_reference(at_rate(problem, nearest), start_pose)
     need = undriven_need(along, along.lacking_rounding)
-    assert need is not None  # else all joints can follow the reference at this rate
+    assert need is not None  # else this rate has a plan
     return Plan(problem=problem, verdict=_undriven(need, f" of {own_s / nearest:.4g} s, nor in another allowed duration"))
 
 

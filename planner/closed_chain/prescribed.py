@@ -185,7 +185,7 @@ def undriven_need(at: Samples, allowed: float) -> Overrun | None:
 
 
 def balanced_rates(problem: Problem, start_pose: np.ndarray) -> list[float] | None:
-    """Return the rates at which joints without an actuator can follow the reference, if at any; None if at all rates.
+    """Return the rates at which joints without an actuator may follow the reference, if not at its own; None if at all.
 
     At a rate r the reference lacks a + b r + c r^2. Where this is zero, the sum of its squares is stationary.
     """
@@ -203,7 +203,7 @@ def balanced_rates(problem: Problem, start_pose: np.ndarray) -> list[float] | No
     products = parts @ parts.T
     squares = np.polynomial.Polynomial([np.trace(products[::-1], k) for k in range(-2, 3)])
     roots = squares.deriv().roots()
-    return sorted({1.0, *(float(r.real) for r in roots if r.real > 0 and abs(r.imag) < _NEAR_BOUND * abs(r))})
+    return [float(r.real) for r in roots if r.real > 0 and abs(r.imag) < _NEAR_BOUND * abs(r)]
 
 
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:

@@ -121,6 +121,7 @@ def test_bounds_on_a_free_duration_of_a_table_are_kept(asked, status, words):
             " s, in which all joints can follow the reference, the effort of F comes to",
         ),
         ({"duration_s": "free", "min_duration_s": 0.7}, 20.0, "infeasible", "needed on joint z at t = "),
+        ({"duration_s": "free", "max_duration_s": 0.5}, 20.0, "optimal", "the reference in 0.5 s"),
         ({"duration_s": "free", "max_duration_s": 0.4}, 20.0, "infeasible", " of 0.4 s, nor in another allowed duration"),
         ({}, 20.0, "infeasible", "needed on joint z at t = "),
     ],
