@@ -185,7 +185,7 @@ def undriven_need(at: Samples, allowed: float) -> Overrun | None:
 
 
 def balanced_rates(problem: Problem, start_pose: np.ndarray) -> list[float] | None:
-    """Return the rates at which joints without an actuator may follow the reference, if not at its own; None if at all.
+    """Return rates besides 1 at which joints without an actuator may follow the reference; None if they do at every rate.
 
     At a rate r the reference lacks a + b r + c r^2. Where this is zero, the sum of its squares is stationary.
     """
