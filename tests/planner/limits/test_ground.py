@@ -14,7 +14,8 @@ from linkplan.planner.search.planning import plan_motion
 # A body of 2 kg on a leg of 1 kg that turns about its foot; the foot stands on the ground.
 LEG = """<mujoco model="leg"><option gravity="0 0 -9.81"/><worldbody><site name="spot"/>
 <body name="shin" pos="0 0 0.5"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
-<joint name="pitch" axis="0 1 0"/><inertial pos="0 0 -.25" mass="1" diaginertia=".02 .02 .002"/><site name="foot" pos="0 0 -.5"/>
+<joint name="pitch" axis="0 1 0"/><inertial pos="0 0 -.25" mass="1" diaginertia=".02 .02 .002"/>
+<site name="foot" pos="0 0 -.5"/>
 <body name="body"><joint name="hip" axis="0 1 0"/><inertial pos="0 0 .1" mass="2" diaginertia=".05 .05 .05"/></body></body>
 </worldbody><actuator><motor name="hip" joint="hip" ctrlrange="-20 20" ctrllimited="true"/></actuator></mujoco>"""
 ARGUMENTS = {
