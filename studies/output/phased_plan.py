@@ -9,13 +9,16 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import closure_rows_along
 from linkplan.models.poses.whole_body import centre_of_mass
 from linkplan.planner.files.structs import Beside
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan import phased
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import Verdict
-from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Text, table_of
+from linkplan.studies.output.animation import animation, frames_of
+from linkplan.studies.output.document import Animation, Block, Facts, Plot, Report, Section, Text, table_of
 from linkplan.studies.output.draw_plan import drawn_motion, save_plan
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import TIME, Line, plots
@@ -159,7 +162,7 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         """Return the report: the whole motion, then the sections of each phase."""
         sections = [Section(title="Overview", blocks=self.blocks())]
         if self.plans and all(plan.trajectory is not None for plan in self.plans):
-            sections[0] = Section(title="Overview", blocks=[*self.blocks(), *self._plots()])
+            sections[0] = Section(title="Overview", blocks=[*self.blocks(), self._animation(), *self._plots()])
         for plan in self.plans:
             sections += plan_sections(plan)
         return report_of(f"Plan {self.problem}", self.message, self.passed, sections)
@@ -170,6 +173,25 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
             folder = place / f"{k + 1}-{self.phases[k].name}"
             folder.mkdir()
             save_plan(plan, folder, parquet=parquet)
+
+    def _animation(self) -> Animation:
+        """Return the motion through all phases, which the plots' cursors follow."""
+        first, total = self.plans[0].problem, self.duration_s or 0.0
+        shown = np.linspace(0.0, total, frames_of(first.mechanism))
+        number = np.clip(np.searchsorted(self._begins(), shown, side="right") - 1, 0, len(self.plans) - 1)
+        poses, efforts = [], []
+        for k, plan in enumerate(self.plans):
+            motion = plan.require_motion("draw")
+            at = np.clip(shown[number == k] - self.phases[k].begins_s, 0.0, motion.duration_s)
+            times = np.unique(np.concatenate([motion.dense_times(), at]))
+            every = follow(plan.problem.mechanism, motion.position_at(times), motion.start_pose)
+            poses.append(every[np.searchsorted(times, at)])
+            efforts.append(motion.effort_at(at))
+        q, u = np.vstack(poses), np.vstack(efforts)
+        limit = effort_bounds(first)
+        return animation(
+            first.mechanism, self.problem, self.problem, shown, q, effort=u, effort_limit=limit, sites=first.sites
+        )
 
     def _plots(self) -> Iterator[Plot]:
         """Yield the plots over the time of all phases."""
@@ -187,10 +209,14 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         centre = [
             Line(name=axis, values=place[:, k], unit="m") for k, axis in enumerate("xyz") if np.ptp(place[:, k]) > 1e-9
         ]
-        yield from plots("Centre of mass", "place", TIME, time, centre)
-        yield from plots("Position of the joints", "position", TIME, time, joints)
-        yield from plots("Effort of the actuators", "effort", TIME, time, drives)
-        yield from plots("Forces of the ground", "force", TIME, time, list(self._ground(motions)))
+        drawn = (
+            ("Centre of mass", "place", centre),
+            ("Position of the joints", "position", joints),
+            ("Effort of the actuators", "effort", drives),
+            ("Forces of the ground", "force", list(self._ground(motions))),
+        )
+        for title, what, lines in drawn:
+            yield from plots(title, what, TIME, time, lines, group=self.problem)
 
     def _ground(self, motions) -> Iterator[Line]:
         """Yield the components of the forces of the ground on each standing site, not a number in the air."""
