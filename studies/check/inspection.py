@@ -23,7 +23,6 @@ from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside, Number
 from linkplan.planner.problem.motion import check_asked_pose
-from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
     feeble_drives,
     floating_columns,
@@ -35,10 +34,9 @@ from linkplan.studies.check.drives import (
     steerable_columns,
     undriven,
 )
+from linkplan.studies.check.findings import coincident_sites, contact_findings, stray_pins, tendon_findings
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, thinned
-from linkplan.studies.check.pin_places import stray_pins
 from linkplan.studies.check.softness import massless_findings, softness_note, units_notes
-from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
 # Number of poses checked for contacts; a robot of a hundred bodies takes 1 ms per pose.
 _MOST_CONTACT_POSES = 6000

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,14 +26,63 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import JointForces, joint_forces, pins_of
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
 from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.balance import Balance, balances
 from linkplan.studies.check.spring_ratios import spring_motion
+
+# An effort is zero at a root if it is less than this share of the largest effort nearby. This excludes poles, at which the
+# effort changes its sign through infinity.
+_ZERO_SHARE = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Balance:
+    """A pose in balance: the coordinate's position [rad or m], and whether it returns there."""
+
+    position: float
+    stable: bool
+
+
+def balances(mechanism: Mechanism, poses: np.ndarray, needed: np.ndarray, coordinate: int) -> tuple[Balance, ...]:
+    """Return the poses in balance between neighbouring poses (n, n_q) of a coordinate's path, by position.
+
+    Args:
+        mechanism: of the path.
+        poses: along it.
+        needed: the effort (n,) on the coordinate that holds them at rest.
+        coordinate: the swept independent joint's column.
+    """
+    largest = float(np.abs(needed[np.isfinite(needed)]).max(initial=0.0))
+    found: dict[float, Balance] = {}
+    for k in np.flatnonzero(needed[:-1] * needed[1:] <= 0):
+        ends, (low, high) = np.abs(needed[k : k + 2]), poses[k : k + 2, mechanism.independent]
+        if not ROUNDING_SHARE * largest < ends.max():  # no effort is needed on a whole interval
+            continue
+
+        def effort(share: Any, low: np.ndarray = low, high: np.ndarray = high, begin: np.ndarray = poses[k]) -> float:
+            return _needed(mechanism, low + float(share) * (high - low), begin)[coordinate]
+
+        try:
+            share = float(sign_change(effort, 0.0, 1.0, 1e-12))
+            rest = abs(effort(share))
+        except AssemblyError:
+            continue
+        step = high[coordinate] - low[coordinate]
+        if np.isfinite(share) and rest <= _ZERO_SHARE * ends.max() and step:
+            position = float(low[coordinate] + share * step)
+            found[round(position, 9)] = Balance(position=position, stable=bool((needed[k + 1] - needed[k]) / step > 0))
+    return tuple(found[position] for position in sorted(found))
+
+
+def _needed(mechanism: Mechanism, s: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """Return the effort (n_s,) on each coordinate that holds positions s (n_s,) at rest, on the branch of a pose (n_q,)."""
+    poses, still = follow(mechanism, s[None], begin), np.zeros((1, mechanism.dof))
+    return sampled(mechanism.dynamics.inverse_dynamics, poses, still, still)[0, :, 0]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -32,6 +32,7 @@ from linkplan.studies.check.kinematic_loop_report import (
     motion_path,
     reach_sweeps,
 )
+from linkplan.studies.check.path_plots import MAX_COORDINATES_DRAWN, over, path_plots, rising_order
 from linkplan.studies.check.path_quantities import PathFigures, path_figures
 from linkplan.studies.check.refused_model import REFUSED, CheckResult
 from linkplan.studies.check.site_statics import (
@@ -49,6 +50,7 @@ from linkplan.studies.check.tolerances import (
     tolerances_along,
     with_tolerances,
 )
+from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 
@@ -136,8 +138,6 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
 
     def sections(self) -> list[Section]:
         """Return the sections of the findings and of each path."""
-        from linkplan.studies.check.check_sections import path_section
-
         first = Section(title=f"Mechanism: {self.name}", blocks=inspection_blocks(self))
         found = [first, *(path_section(path, self.name, len(self.sweeps)) for path in self.paths)]
         for site in self.sites or ():
@@ -270,3 +270,24 @@ def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[st
         return motion_path(problem), ()
     except LinkplanError as error:
         return None, (f"no path for the problem's motion: {error}",)
+
+
+def path_section(path: KinematicLoopPath, name: str, of: int) -> Section:
+    """Return the section of one `of` several paths: an animation, a table, plots of ratios, inertias, efforts and forces."""
+    axis, x = over(path)
+    group = f"path:{name}:{path.title}"
+    order = rising_order(x)
+    most = frames_of(path.mechanism, of)
+    frames = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), most)).astype(int))]
+    moving = animation(
+        path.mechanism,
+        f"{name} along {path.title}",
+        group,
+        x[frames],
+        path.poses[frames],
+        effort=path.holding_effort[frames],
+        effort_limit=path.limit,
+        unit=axis.unit,
+    )
+    blocks = [moving, *path_blocks(path), *path_plots(path, group)]
+    return Section(title=f"Along {path.title}, at rest", blocks=blocks, depth=2, folded=of > MAX_COORDINATES_DRAWN)

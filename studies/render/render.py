@@ -3,27 +3,28 @@
 import base64
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from msgspec import Struct
 
 from linkplan.models.deadline import check
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.search.planning import silent
 from linkplan.studies.output.document import Block, Text
 from linkplan.studies.output.result import Shown
-from linkplan.studies.render.camera import Camera, camera_from
 from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
-from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed
+from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed, own_direction
 from linkplan.studies.render.gl import GL
 from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slowness, tracked_motion
-from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
+from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, place_bodies, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 from linkplan.studies.render.shapes import GHOST
 
@@ -31,6 +32,45 @@ from linkplan.studies.render.shapes import GHOST
 _LARGEST_SHOWN_BYTES = 30_000_000
 
 Paint = Callable[[Scene], np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A direction of sight, azimuth and elevation [rad], and the index of the model's camera; -1 for a free camera."""
+
+    direction: tuple[float, float]
+    fixed: int = -1
+
+
+def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
+    """Return the camera for None (the default), a name, or "azimuth/elevation" in degrees.
+
+    Raises:
+        ProblemError: for any other text.
+    """
+    model = mechanism.model
+    if text is None:
+        return Camera(direction=own_direction(model))
+    names = [model.camera(k).name for k in range(model.ncam)]
+    if text in names:
+        data = mujoco.MjData(model)
+        place_bodies(model, data, mechanism.qpos_of(mechanism.home))
+        sight = -np.array(data.cam_xmat[names.index(text)]).reshape(3, 3)[:, 2]
+        direction = float(np.arctan2(sight[1], sight[0])), float(np.arcsin(np.clip(sight[2], -1.0, 1.0)))
+        return Camera(direction=direction, fixed=names.index(text))
+    parts = text.split("/")
+    try:
+        azimuth, elevation = (float(part) for part in parts)
+    except ValueError:
+        known = [name for name in names if name]
+        has = f"its cameras are {', '.join(known)}" if known else "it has no named camera"
+        raise ProblemError(
+            f"unknown camera '{text}'{nearest(text, known)} of '{mechanism.name}': {has}; or AZIMUTH/ELEVATION in degrees,"
+            " as 90/-15"
+        ) from None
+    if not (np.isfinite(azimuth) and abs(elevation) <= 90):
+        raise ProblemError(f"a camera's elevation must be from -90 to 90 degrees, its azimuth any number, got '{text}'")
+    return Camera(direction=(float(np.radians(azimuth)), float(np.radians(elevation))))
 
 
 class RenderedFile(Shown, Struct, frozen=True, kw_only=True):

@@ -18,8 +18,7 @@ from linkplan.planner.search.planning import plan_motion, silent
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.batch import study
 from linkplan.studies.variations.batch.batch_blocks import case_row
-from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, unpacked
-from linkplan.studies.variations.batch.study import run_batch
+from linkplan.studies.variations.batch.study import Planned, case_blocks, packed, run_batch, unpacked
 from linkplan.studies.variations.tasks.engine import processes
 from linkplan.studies.variations.tasks.unfinished import PARTS, unfinished
 from tests.support.batches import same_plans, swept

@@ -19,7 +19,7 @@ from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.check.contact_findings import contact_findings
+from linkplan.studies.check.findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import (
     Comparison,

@@ -13,11 +13,10 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.single_file import MADE_BY
 from linkplan.planner.files.tables import read_tables
 from linkplan.studies.output.figure import SERIES
-from linkplan.studies.render.camera import camera_from
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed, own_direction
 from linkplan.studies.render.motion import frame_times, own_slowness
-from linkplan.studies.render.render import picture
+from linkplan.studies.render.render import camera_from, picture
 from linkplan.studies.render.settings import RenderSettings
 from linkplan.studies.render.shapes import GHOST, load_colour
 from tests.support.linkages import RSSR
