@@ -20,7 +20,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "payload", "kinematics",
-        "symbolic_model", "foreign", "external_forces", "gearing", "ground", "selection", "library", "digest",
+        "symbolic_model", "foreign", "external_forces", "ground", "selection", "library", "digest",
         "tree", "closure", "reduction", "actuation", "parameters", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),

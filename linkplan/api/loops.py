@@ -18,11 +18,9 @@ from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.default_gains import with_gains
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
-from linkplan.studies.feedback.bode.along_motion import along_motion
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_report import BodeStudy
-from linkplan.studies.feedback.bode.large_study import large_study
-from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.bode.further_studies import along_motion, large_study, map_study
 from linkplan.studies.feedback.bode.plant_blocks import PlantStudy
 from linkplan.studies.feedback.bode.plant_study import plant_study
 from linkplan.studies.feedback.bode.poses import loop_poses

@@ -12,8 +12,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.settings import number
 from linkplan.studies.output.paths import path_of
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
-from linkplan.studies.variations.size.sizing import size_motors
-from linkplan.studies.variations.size.sizing_blocks import Sizing
+from linkplan.studies.variations.size.sizing import Sizing, size_motors
 
 
 @command(

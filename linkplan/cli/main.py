@@ -22,9 +22,6 @@ from linkplan.cli.printing import delivered, flush_streams, keep_closed_streams_
 from linkplan.models.deadline import check, ended_by, listening
 from linkplan.models.errors import CertificateError, LinkplanError, PlanError, ProblemError, one_line, shown
 
-# Commands with a module of their own; the others are in `commands.py`.
-_ALONE = ("check", "completion")
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
@@ -108,7 +105,7 @@ def _refuse_unusable_date() -> None:
 def _run(arguments: argparse.Namespace) -> int:
     try:
         _refuse_unusable_date()
-        name = f"{arguments.command}_command" if arguments.command in _ALONE else "commands"
+        name = "completion_command" if arguments.command == "completion" else "commands"
         module = importlib.import_module(f"linkplan.cli.{name}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:

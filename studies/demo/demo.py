@@ -21,8 +21,8 @@ from linkplan.studies.compare.compare import compare, mismatch_of
 from linkplan.studies.compare.tracking_result import tracking_result
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.further_studies import map_study
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
-from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.draw_plan import save_plan

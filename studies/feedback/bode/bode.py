@@ -17,8 +17,7 @@ from linkplan.planner.search.planning import silent
 from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.feedback.bode.bode_report import BodeStudy, loop_text
 from linkplan.studies.feedback.bode.bode_result import BodePoint, PoseLoops, WorstMargins, pose_values
-from linkplan.studies.feedback.bode.scan import PoseLine, Scan, coordinate_line, scan_line
-from linkplan.studies.feedback.bode.touching import contact_sentence, touched
+from linkplan.studies.feedback.bode.scan import PoseLine, Scan, contact_sentence, coordinate_line, scan_line, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     CONTINUOUS,

@@ -11,8 +11,17 @@ from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_along, phase_near
-from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantPoint, PlantResponse, Root
-from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text, plant_notes, root_text
+from linkplan.studies.feedback.bode.plant_words import (
+    LARGEST_UNCERTAINTY,
+    PlantCurve,
+    PlantPoint,
+    PlantResponse,
+    Root,
+    agreement_text,
+    modes_text,
+    plant_notes,
+    root_text,
+)
 from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of

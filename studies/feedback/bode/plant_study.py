@@ -17,15 +17,15 @@ from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import law_at, softness_of
 from linkplan.studies.feedback.bode.bode_result import pose_values
 from linkplan.studies.feedback.bode.plant_blocks import PlantStudy
-from linkplan.studies.feedback.bode.plant_result import (
+from linkplan.studies.feedback.bode.plant_words import (
     LARGEST_UNCERTAINTY,
     PlantCurve,
     PlantPoint,
     PlantResponse,
     Root,
+    plant_message,
 )
-from linkplan.studies.feedback.bode.plant_words import plant_message
-from linkplan.studies.feedback.bode.touching import contact_sentence, touched
+from linkplan.studies.feedback.bode.scan import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import Measurement, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     FeedbackLoop,

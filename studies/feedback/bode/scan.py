@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import LinkplanError
+from linkplan.models.errors import LinkplanError, counted, listed
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.contacts import ContactPair, exclusion
 from linkplan.planner.problem.limits import within_reserve
 from linkplan.studies.check.holding import EFFORT_RESERVE
 from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
@@ -161,3 +162,26 @@ def judge_of(
             return []
 
     return judge
+
+
+def touched(pairs: Sequence[ContactPair], n: int) -> np.ndarray:
+    """Return True for each of n loops that has geoms in contact, (n,)."""
+    found = np.zeros(n, dtype=bool)
+    for pair in pairs:
+        found[list(pair.poses)] = True
+    return found
+
+
+def contact_sentence(pairs: Sequence[ContactPair], n: int) -> str | None:
+    """Return a sentence on the three deepest contacts at n poses, or None if there is no contact."""
+    if not pairs:
+        return None
+    deepest = sorted(pairs, key=lambda pair: -pair.depth_m)
+    named = listed([" and ".join(pair.geoms) for pair in deepest], 3)
+    exclusions = " ".join(dict.fromkeys(exclusion(pair.bodies) for pair in deepest[:3]))
+    count = int(touched(pairs, n).sum())
+    return (
+        f"contacts of {named} push in MuJoCo at {count} of {counted(n, 'pose')}, up to"
+        f" {1e3 * deepest[0].depth_m:.2g} mm deep; the prediction omits them, they open the kinematic loops, and no response"
+        f" is measured there; {exclusions} in the model's <contact> lets links pass side by side"
+    )

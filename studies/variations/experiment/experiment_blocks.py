@@ -35,8 +35,12 @@ from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.design import varied
 from linkplan.studies.variations.experiment.experiment import AskedRecord, Experiment
 from linkplan.studies.variations.experiment.metrics import Metric
-from linkplan.studies.variations.experiment.sensitivity import Sensitivity, machines_needed
-from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks, tornado_figures
+from linkplan.studies.variations.experiment.sensitivity import (
+    Sensitivity,
+    machines_needed,
+    sensitivity_blocks,
+    tornado_figures,
+)
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair
 from linkplan.studies.variations.experiment.summary import Summary
 

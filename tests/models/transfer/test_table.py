@@ -9,8 +9,7 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.transfer.grid import adaptive_grid, interpolated
 from linkplan.models.transfer.output_map import motor_map, output_map
-from linkplan.models.transfer.poses import KnownPoses
-from linkplan.models.transfer.table import TransferTable, transfer_table
+from linkplan.models.transfer.table import KnownPoses, TransferTable, transfer_table
 from tests.support import parallel_ankle, slider_crank
 
 OUTPUTS = ["ankle_pitch", "ankle_roll"]

@@ -20,9 +20,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.text import text_of
-from linkplan.studies.variations.decompose.decompose import decompose, error_parts
+from linkplan.studies.variations.decompose.decompose import CAUSES, decompose, error_parts
 from linkplan.studies.variations.decompose.decomposition import Shares
-from linkplan.studies.variations.decompose.ladder import CAUSES
 from linkplan.studies.variations.experiment.block import run_block
 from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
 from tests.support.plans import optimal, problem_of

@@ -16,7 +16,7 @@ from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import silent
 from linkplan.studies.variations.experiment import block as blocks
-from linkplan.studies.variations.experiment import conduct as conducting
+from linkplan.studies.variations.experiment import study as conducting
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, default_imperfections, experiment_of, fall_note
 from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment

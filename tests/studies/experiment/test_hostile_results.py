@@ -11,9 +11,16 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.search.planning import silent
-from linkplan.studies.variations.experiment.conduct import conduct, read_results
 from linkplan.studies.variations.experiment.experiment import Settings, request_of
-from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
+from linkplan.studies.variations.experiment.study import (
+    RECORD,
+    RESULTS,
+    conduct,
+    read_results,
+    run_experiment,
+    saved_experiment,
+    saved_outcome,
+)
 from linkplan.studies.variations.tasks import unfinished as parts
 from linkplan.studies.variations.tasks.engine import serial
 from tests.support.plans import optimal

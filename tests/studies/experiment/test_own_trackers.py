@@ -8,7 +8,7 @@ from linkplan.planner.search.planning import silent
 from linkplan.studies.compare.tracker_source import source_files, source_hash
 from linkplan.studies.compare.user_tracker import tracker_named
 from linkplan.studies.variations.experiment import block
-from linkplan.studies.variations.experiment import conduct as conducting
+from linkplan.studies.variations.experiment import study as conducting
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings
 from linkplan.studies.variations.experiment.study import RESULTS, refuse_changed_tracker, run_experiment, saved_experiment

@@ -13,7 +13,7 @@ from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.feedback.bode.along_motion import along_motion
+from linkplan.studies.feedback.bode.further_studies import along_motion
 from linkplan.studies.feedback.frequency.describing import balance, large_signals, saturation
 from linkplan.studies.feedback.frequency.feasible import feasible_curve
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point

@@ -18,7 +18,7 @@ from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.numbers import direction_name
 from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit, plan_blocks, radius_figure
 from linkplan.studies.output.text import text_of
-from linkplan.studies.variations.experiment.sensitivity_blocks import _named
+from linkplan.studies.variations.experiment.sensitivity import _named
 from tests.support.plans import optimal, problem_of
 
 

@@ -15,8 +15,7 @@ from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.decompose.decomposition import Decomposition, decomposition_charts
 from linkplan.studies.variations.experiment.experiment import Settings
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
-from linkplan.studies.variations.experiment.sensitivity import Sensitivity
-from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks, sensitivity_charts
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_blocks, sensitivity_charts
 from linkplan.studies.variations.experiment.study import RESULTS, run_experiment
 from tests.support.plans import optimal
 from tests.support.reports import blocks
