@@ -178,7 +178,7 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
-    ratio = float(singularity_ratios(problem, q).min())
+    ratio = float(singularity_ratios(problem.mechanism, q).min())
     boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
         boundary_error = max(boundary_error, _turn_error(problem, q))

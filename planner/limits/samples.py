@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import JointForces, closure_rows_along, joint_forces
@@ -334,11 +335,12 @@ def closure_forces(problem: Problem, q, v, a, u, *forces: np.ndarray) -> np.ndar
     return np.array(sizes).T.reshape(len(q), -1)
 
 
-def singularity_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
+def singularity_ratios(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the least of J_z's block determinants at poses q (n, n_q), relative to home: 0 at a singular pose.
 
     Without loops it is 1.
     """
-    if len(problem.mechanism.dependent) == 0:
+    if len(mechanism.dependent) == 0:
         return np.ones(len(q))
-    return Poses(problem=problem, q=q).block_ratios.min(axis=1)
+    block = mechanism.dynamics.block_singularity
+    return (sampled(block, q)[:, :, 0] / np.array(block(mechanism.home)).ravel()).min(axis=1)

@@ -146,7 +146,7 @@ def grid_of(
             return None
         s, poses = gridded
     if limits.singular_margin:
-        s, poses = _around(places[0], s, poses, singularity_ratios(problem, poses) >= limits.singular_margin)
+        s, poses = _around(places[0], s, poses, singularity_ratios(problem.mechanism, poses) >= limits.singular_margin)
     return (s, poses) if _holds(s, ends) else None
 
 

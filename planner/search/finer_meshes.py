@@ -229,7 +229,7 @@ def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
     """Return a case whose solves keep a distance from singular poses: `FIRST_MARGIN`, or half of what the start has."""
     if not len(case.asked.mechanism.dependent):
         return case
-    margin = min(FIRST_MARGIN, 0.5 * float(singularity_ratios(case.asked, start_pose[None]).min()))
+    margin = min(FIRST_MARGIN, 0.5 * float(singularity_ratios(case.asked.mechanism, start_pose[None]).min()))
     return _at_margin(case, max(case.asked.limits.singular_margin, margin))
 
 

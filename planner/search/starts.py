@@ -277,7 +277,7 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
         return None
     # The least |det J_z| relative to home. With a quarter of it solves may fail, a larger margin costs more. Start and goal
     # limit it: it is at most half of the least value on the path between them.
-    margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
+    margin = min(0.02, 0.5 * float(singularity_ratios(problem.mechanism, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
     plan = run_search(search.of_another(problem.varied(limits=limits)))
     if plan is None or not plan.passed:

@@ -49,7 +49,11 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     A brief document has only the table with the quantities of the swept coordinate, its actuators and the closures. The
     document is empty if none of them changes.
     """
-    columns = quantities(path, _own_names(path, path.coordinate) if brief and path.coordinate is not None else None)
+    mechanism, model, names = path.mechanism, path.mechanism.model, None
+    if brief and path.coordinate is not None:
+        acting = np.flatnonzero(acts(path)[path.coordinate])
+        names = {mechanism.independent_joints[path.coordinate].name, *(mechanism.actuators[j].name for j in acting)}
+    columns = quantities(path, names)
     table = _table(path, columns, f"along {path.title}, at rest")
     changing = brief and path.coordinate != 0
     said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing), *balance_sentences(path)]
@@ -59,10 +63,21 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     constant = [column.text() for column in columns if column.is_constant]
     if not acts(path).all():
         constant.append("all other ratios 0")
-    hold = "hold and force include" if path.mechanism.actuators else "force includes"
+    hold = "hold and force include" if mechanism.actuators else "force includes"
     weight = Text(text=f"'weight alone' omits springs; {hold} weight, springs and constant forces, at rest")
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
-    return [*table, weight, *same, *_site_table(path), *_body_table(path), *sentences]
+    sites = [
+        Column(head=f"{name} {axis}", unit="m", values=path.places[:, row, model.site(name).id], scale=mechanism.extent_m)
+        for name in site_names(model)
+        for row, axis in enumerate("xyz")
+    ]
+    bodies = [
+        Column(head=name, unit="deg", values=np.degrees(path.poses @ sigma), scale=float(np.degrees(1.0)))
+        for name, sigma in turning_bodies(mechanism).items()
+    ]
+    moving = (("sites", sites), ("angles of bodies", bodies))
+    further = [table for title, values in moving for table in _table(path, values, f"{title} along {path.title}")]
+    return [*table, weight, *same, *further, *sentences]
 
 
 def largest_forces(path: KinematicLoopPath) -> dict[str, tuple[float, float, str]]:
@@ -94,26 +109,6 @@ def pin_table(found: Iterable[dict[str, tuple[float, float, str]]], most: int | 
     return [table_of(title, heads, rows)] if rows else []
 
 
-def _site_table(path: KinematicLoopPath) -> list[Table]:
-    """Return the table of the sites' coordinates that change along a path."""
-    model, scale = path.mechanism.model, path.mechanism.extent_m
-    columns = [
-        Column(head=f"{name} {axis}", unit="m", values=path.places[:, row, model.site(name).id], scale=scale)
-        for name in site_names(model)
-        for row, axis in enumerate("xyz")
-    ]
-    return _table(path, columns, f"sites along {path.title}")
-
-
-def _body_table(path: KinematicLoopPath) -> list[Table]:
-    """Return the table of the angles along a path of the bodies that several hinges turn, if they change."""
-    columns = [
-        Column(head=name, unit="deg", values=np.degrees(path.poses @ sigma), scale=float(np.degrees(1.0)))
-        for name, sigma in turning_bodies(path.mechanism).items()
-    ]
-    return _table(path, columns, f"angles of bodies along {path.title}")
-
-
 def _table(path: KinematicLoopPath, columns: list[Column], title: str) -> list[Table]:
     """Return the table of the columns that change, at nine poses; an empty list if none does."""
     at = np.unique(np.linspace(0, len(path.poses) - 1, num=9).astype(int))
@@ -129,12 +124,6 @@ def _table(path: KinematicLoopPath, columns: list[Column], title: str) -> list[T
     rows = [[column.cell(k) for column in shown] for k in at]
     heads = [(column.head, column.unit) for column in shown]
     return [table_of(f"{title} ({len(at)} of {len(path.poses)} poses)", heads, rows)]
-
-
-def _own_names(path: KinematicLoopPath, column: int) -> set[str]:
-    """Return the names of a coordinate and of the actuators that act on it."""
-    acting = np.flatnonzero(acts(path)[column])
-    return {path.mechanism.independent_joints[column].name, *(path.mechanism.actuators[j].name for j in acting)}
 
 
 def _scale(values: np.ndarray) -> float:

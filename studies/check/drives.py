@@ -39,8 +39,10 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
     rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, moved], []
     coupled = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0)
     last = set(model.eq_obj1id[coupled].tolist())
-    places = {k: (k in last, _depth(model.body_parentid, int(model.jnt_bodyid[k]))) for k in range(model.njnt)}
-    depth = {joint_label(model, k): place for k, place in places.items()}
+    level = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):
+        level[body] = level[model.body_parentid[body]] + 1
+    depth = {joint_label(model, k): (k in last, level[model.jnt_bodyid[k]]) for k in range(model.njnt)}
     joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth.keys() - base and joint.chart is None]
     for k in sorted(joints, key=lambda k: depth[mechanism.joints[k].name]):
         values = np.linalg.svd(rates[[*chosen, k]], compute_uv=False)
@@ -57,13 +59,6 @@ def motors_hint(mechanism: Mechanism) -> str:
     if names == "[]":
         return "none of its joints is a hinge or slide, and mechanism.drive puts motors only on these"
     return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
-
-
-def _depth(parents: np.ndarray, body: int) -> int:
-    depth = 0
-    while body:
-        body, depth = int(parents[body]), depth + 1
-    return depth
 
 
 def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
@@ -84,8 +79,8 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     unit, damped = joint.si_units[1], is_damped(mechanism, mechanism.home, column)
     moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
-        f"{a.name}, on {a.target}, {moves} it in one direction only, with {_ends(found)} {unit} at home"
-        for a, found in acting
+        f"{a.name}, on {a.target}, {moves} it in one direction only, with {low + 0.0:.3g} to {high + 0.0:.3g} {unit} at home"
+        for a, (low, high) in acting
     )
     return (
         f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or"
@@ -202,10 +197,6 @@ def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarr
         acts = abs(arm) > ROUNDING_SHARE * max(np.abs(arms).max(), np.abs(maps[column]).max())
         found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
     return found
-
-
-def _ends(ends: np.ndarray) -> str:
-    return f"{ends[0] + 0.0:.3g} to {ends[1] + 0.0:.3g}"
 
 
 def steerable_columns(mechanism: Mechanism) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.contacts import Contact, ContactPair, exclusion, meetings
+from linkplan.models.poses.contacts import ContactPair, exclusion, meetings
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
 from linkplan.models.tree.tendons import SITE, is_fixed, lacks_length, path_of, tendon_label
@@ -71,7 +71,8 @@ def contact_findings(
         named.add(meeting.geoms)
         if meeting.since_s is None:
             continue
-        said = _on_the_way(mechanism, meeting, path, position_at)
+        at = where(mechanism.independent_joints, position_at(np.array([meeting.since_s]))[0], 5)
+        said = f"{geom_names(meeting)} collide at {at} on {path.title}, up to {1e3 * meeting.depth_m:.2g} mm deep"
         if treatment == "note":
             notes.append(f"{said}: plans have no contact forces")
         else:
@@ -91,12 +92,6 @@ def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
         if of_one.any() and changes != 1:
             return False
     return not pair.on_ground
-
-
-def _on_the_way(mechanism: Mechanism, meeting: Contact, path: KinematicLoopPath, position_at) -> str:
-    at = position_at(np.array([meeting.since_s]))[0]
-    place, depth = where(mechanism.independent_joints, at, 5), f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-    return f"{geom_names(meeting)} collide at {place} on {path.title}, {depth}"
 
 
 def stray_pins(mechanism: Mechanism) -> list[str]:
@@ -146,9 +141,12 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
         for can in reaches:
             index = int(mechanism.independent[can.coordinate])
             joint, lengths = mechanism.joints[index], sampled(mechanism.dynamics.tendon_length, can.poses)[:, item, 0]
-            stops = [x for end in (tendon.low, tendon.high) for x in _crossings(can.poses[:, index], lengths - end)]
+            x, stops = can.poses[:, index], []
+            for over in (lengths - tendon.low, lengths - tendon.high):  # its zeros, by linear interpolation
+                crossed = np.flatnonzero(over[:-1] * over[1:] < 0)
+                stops += [x[k] - over[k] * (x[k + 1] - x[k]) / (over[k + 1] - over[k]) for k in crossed]
             if stops:
-                at = ", ".join(joint.text(x, 4) for x in sorted(stops))
+                at = ", ".join(joint.text(stop, 4) for stop in sorted(stops))
                 notes.append(f"tendon {tendon.name} is at the end of its range {said} at {joint.name} = {at} {joint.unit}")
     return problems, notes
 
@@ -178,9 +176,3 @@ def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
     driven = np.any((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)) & (on == tendon))
     pulls = driven or any(np.any(getattr(model, f"tendon_{field}")[tendon]) for field in _PULLS)
     return bool(pulls) and not is_fixed(model, tendon) and not lacks_length(model, tendon)
-
-
-def _crossings(x: np.ndarray, values: np.ndarray) -> list[float]:
-    """Return the zeros of values (n,) over x (n,), by linear interpolation."""
-    at = np.flatnonzero(values[:-1] * values[1:] < 0)
-    return [float(x[k] - values[k] * (x[k + 1] - x[k]) / (values[k + 1] - values[k])) for k in at]

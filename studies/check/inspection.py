@@ -326,16 +326,11 @@ def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
         return stop
     if other.kind == "slide" and joint.kind == "hinge":
         return f"{stop}, within {joint.name}'s own range {range_words(joint)}"
-    if _moves_with_others(mechanism, pose, end.joint, can.coordinate):
+    # Other coordinates that move the joint, except passive ones, can move it off its stop.
+    rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[end.joint])
+    if np.any(np.delete(rates * mechanism.actuated, can.coordinate) > ROUNDING_SHARE * rates.max()):
         return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {range_words(joint)})"
     return f"{stop} ({joint.name}'s own range: {range_words(joint)})"
-
-
-def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
-    """Tell if a joint also moves with other coordinates (except passive ones), which can then move it off its stop."""
-    rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
-    free = ~mechanism.actuated
-    return bool(np.any(np.delete(rates * ~free, column) > ROUNDING_SHARE * rates.max()))
 
 
 def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:

@@ -32,6 +32,7 @@ from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
 from linkplan.planner.limits.kinds import effort_bounds
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.spring_ratios import spring_motion
 
@@ -59,13 +60,15 @@ def balances(mechanism: Mechanism, poses: np.ndarray, needed: np.ndarray, coordi
     """
     largest = float(np.abs(needed[np.isfinite(needed)]).max(initial=0.0))
     found: dict[float, Balance] = {}
+    still = np.zeros((1, mechanism.dof))
     for k in np.flatnonzero(needed[:-1] * needed[1:] <= 0):
         ends, (low, high) = np.abs(needed[k : k + 2]), poses[k : k + 2, mechanism.independent]
         if not ROUNDING_SHARE * largest < ends.max():  # no effort is needed on a whole interval
             continue
 
         def effort(share: Any, low: np.ndarray = low, high: np.ndarray = high, begin: np.ndarray = poses[k]) -> float:
-            return _needed(mechanism, low + float(share) * (high - low), begin)[coordinate]
+            on_branch = follow(mechanism, (low + float(share) * (high - low))[None], begin)
+            return sampled(mechanism.dynamics.inverse_dynamics, on_branch, still, still)[0, coordinate, 0]
 
         try:
             share = float(sign_change(effort, 0.0, 1.0, 1e-12))
@@ -77,12 +80,6 @@ def balances(mechanism: Mechanism, poses: np.ndarray, needed: np.ndarray, coordi
             position = float(low[coordinate] + share * step)
             found[round(position, 9)] = Balance(position=position, stable=bool((needed[k + 1] - needed[k]) / step > 0))
     return tuple(found[position] for position in sorted(found))
-
-
-def _needed(mechanism: Mechanism, s: np.ndarray, begin: np.ndarray) -> np.ndarray:
-    """Return the effort (n_s,) on each coordinate that holds positions s (n_s,) at rest, on the branch of a pose (n_q,)."""
-    poses, still = follow(mechanism, s[None], begin), np.zeros((1, mechanism.dof))
-    return sampled(mechanism.dynamics.inverse_dynamics, poses, still, still)[0, :, 0]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -179,6 +176,7 @@ def measure(
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
+    pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
     inertia = sampled(dynamics.reduced_inertia, poses)
     weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
     holding = distributed(mechanism, weight, ratio, limit)
@@ -200,9 +198,9 @@ def measure(
         gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
         holding_effort=holding,
         unheld_effort=unheld,
-        available_effort=_available(ratio, limit),
+        available_effort=effort_box(np.where(pushes, ratio, 0.0).transpose(0, 2, 1), limit),
         limit=limit,
-        singularity=_singularity(mechanism, poses),
+        singularity=singularity_ratios(mechanism, poses),
         closure_force=np.array(sizes).T.reshape(len(poses), -1),
         places=sampled(dynamics.site_places, poses),
         spring_length=spring_length,
@@ -289,16 +287,12 @@ def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     try:
         between = follow(mechanism, np.concatenate(gaps), poses[0]).reshape(len(gaps), parts - 1, -1)
     except (AssemblyError, ValueError):  # near a singular pose, or if the reach is a single point
-        between = [_followed(mechanism, gap, one) for gap, one in zip(gaps, poses, strict=False)]
+        between = [np.empty((0, mechanism.n_q))] * len(gaps)
+        for k, (gap, one) in enumerate(zip(gaps, poses, strict=False)):
+            with suppress(AssemblyError):
+                between[k] = follow(mechanism, gap, one)
     rows = [row for one, inside in zip(poses, between, strict=False) for row in (one, *inside)]
     return np.array([*rows, poses[-1]])
-
-
-def _followed(mechanism: Mechanism, gap: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Return the poses for positions (n, n_s); none if the loops cannot be followed there."""
-    with suppress(AssemblyError):
-        return follow(mechanism, gap, one)
-    return np.empty((0, mechanism.n_q))
 
 
 def motion_path(problem: Problem) -> KinematicLoopPath:
@@ -344,17 +338,3 @@ def reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     mobility = np.einsum("ksu,ksu->ku", ratio[regular], np.linalg.solve(inertia[regular], ratio[regular]))
     found[regular] = np.divide(1.0, mobility, out=np.full_like(mobility, np.inf), where=mobility > 0)
     return found
-
-
-def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the least and largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
-    pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
-    return effort_box(np.where(pushes, ratio, 0.0).transpose(0, 2, 1), limit)
-
-
-def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return the least determinant (n,) of J_z's blocks, each relative to home; 1 without loops."""
-    if len(mechanism.dependent) == 0:
-        return np.ones(len(poses))
-    block = mechanism.dynamics.block_singularity
-    return (sampled(block, poses)[:, :, 0] / np.array(block(mechanism.home)).ravel()).min(axis=1)

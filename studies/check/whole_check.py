@@ -225,33 +225,19 @@ def check_whole(
     chosen = () if problem is None else problem.notes
     singular = [note for path in along for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    sites = UNSET if site_forces is None else _statics(mechanism, along, poses, checked_forces(mechanism, site_forces))
-    errors = UNSET if tolerances is None else _errors(mechanism, problem, along, poses, tolerances)
+    sites = errors = UNSET
+    if site_forces is not None:
+        forces = checked_forces(mechanism, site_forces)
+        sites = [site for path in _measured(mechanism, along, poses) for site in site_statics(path, forces)]
+    if tolerances is not None:
+        machine, largest = with_tolerances(mechanism, tolerances, {} if problem is None else problem.tolerances)
+        errors = [tolerances_along(path, machine, largest) for path in _measured(mechanism, along, poses)]
     numbers = UNSET
     if with_parameters:
         every = parameters_of(mechanism.model).values()
         numbers = [NamedNumber(name=one.name, value=one.value, unit=one.unit) for one in every]
     further = {"sites": sites, "tolerances": errors, "parameters": numbers}
     return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along, **further)
-
-
-def _errors(
-    mechanism: Mechanism,
-    problem: Problem | None,
-    along: Sequence[Sweep],
-    poses: Sequence[dict[str, float]],
-    tolerances: Mapping[str, float],
-) -> list[Tolerances]:
-    """Return the errors by tolerances along each path, and at the poses asked for."""
-    machine, errors = with_tolerances(mechanism, tolerances, {} if problem is None else problem.tolerances)
-    return [tolerances_along(path, machine, errors) for path in _measured(mechanism, along, poses)]
-
-
-def _statics(
-    mechanism: Mechanism, along: Sequence[Sweep], poses: Sequence[dict[str, float]], forces: Mapping[str, np.ndarray]
-) -> list[SiteStatics]:
-    """Return the statics of all sites along each path, and at the poses asked for."""
-    return [site for path in _measured(mechanism, along, poses) for site in site_statics(path, forces)]
 
 
 def _measured(mechanism: Mechanism, along: Sequence[Sweep], poses: Sequence[dict[str, float]]) -> list[KinematicLoopPath]:

@@ -53,7 +53,7 @@ def obstacle_on_way(problem: Problem) -> str | None:
     beyond = pose_beyond(problem, limits, poses, "on the straight path", ONLY_WAY_SLACK)
     if beyond is not None:
         return beyond.words
-    if np.min(singularity_ratios(problem, poses)) < 0.25:
+    if np.min(singularity_ratios(mechanism, poses)) < 0.25:
         return "a singular pose is near"
     if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
         return sentence

@@ -169,7 +169,7 @@ def test_the_largest_speed_is_that_of_the_joint_that_reaches_its_limit_first():
 
 def test_a_grid_keeps_the_margin_to_singular_poses():
     free, kept = (load_problem("knee-sprint", [f"limits.singular_margin={margin}"]) for margin in (0.0, 0.1))
-    ratios = [singularity_ratios(problem, grid(problem, 100)[1]) for problem in (free, kept)]
+    ratios = [singularity_ratios(problem.mechanism, grid(problem, 100)[1]) for problem in (free, kept)]
     assert ratios[0].min() < 0.1 <= ratios[1].min()
 
 

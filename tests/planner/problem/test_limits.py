@@ -161,7 +161,7 @@ def amount(plan: Plan, what: str) -> float:
     if what == "closure_force":
         return float(pin_forces(plan, inner(plan, 4)).max())
     poses = follow(plan.problem.mechanism, motion.position_at(time), motion.start_pose)
-    return float(singularity_ratios(plan.problem, poses).min())
+    return float(singularity_ratios(plan.problem.mechanism, poses).min())
 
 
 @pytest.mark.slow

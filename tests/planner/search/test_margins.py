@@ -134,7 +134,7 @@ def test_a_dependent_joint_beyond_its_range_is_refused(short, refused):
 
 @pytest.mark.parametrize(("more", "refused"), [(-WITHIN, False), (WITHIN, False), (BEYOND, True)])
 def test_a_pose_short_of_the_singular_margin_is_refused(more, refused):
-    least = singularity_ratios(limited(), only_way(limited())).min()
+    least = singularity_ratios(limited().mechanism, only_way(limited())).min()
     assert 0.0 < least < 1.0
     said = beyond(limited(singular_margin=least * (1 + more)))
     assert (said is not None) == refused
