@@ -19,11 +19,11 @@ import importlib
 TYPE_CHECKING = False  # replaces typing.TYPE_CHECKING: the import of typing takes as long as all other imports here
 if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the same names at run time
     from linkplan.api.batches import batch as batch
-    from linkplan.api.decompositions import decompose as decompose
+    from linkplan.api.experiments import decompose as decompose
     from linkplan.api.experiments import experiment as experiment
     from linkplan.api.first_motion import new as new
-    from linkplan.api.gains import tune as tune
     from linkplan.api.loops import bode as bode
+    from linkplan.api.loops import tune as tune
     from linkplan.api.mechanisms import check as check
     from linkplan.api.mechanisms import load_mechanism as load_mechanism
     from linkplan.api.motors import size as size
@@ -61,10 +61,8 @@ _MODULES = {
     "linkplan.api.batches": ("batch",),
     "linkplan.api.motors": ("size",),
     "linkplan.api.tracking": ("compare", "track"),
-    "linkplan.api.experiments": ("experiment",),
-    "linkplan.api.decompositions": ("decompose",),
-    "linkplan.api.loops": ("bode",),
-    "linkplan.api.gains": ("tune",),
+    "linkplan.api.experiments": ("experiment", "decompose"),
+    "linkplan.api.loops": ("bode", "tune"),
     "linkplan.api.transfers": ("transfer",),
     "linkplan.api.viewing": ("demo", "explore", "view"),
     "linkplan.api.outputs": ("export", "render", "report"),

@@ -21,9 +21,8 @@ from linkplan.models.errors import AssemblyError, LinkplanError, choose
 from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import equality_jacobian, needed_effort
 from linkplan.models.poses.assembly import continue_to
-from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.tree.joints import where
 
 # MuJoCo raises a loop constraint's time constant to at least this many timesteps.

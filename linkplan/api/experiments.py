@@ -1,4 +1,4 @@
-"""`experiment`: trackers on many imperfect machines, the same machines for each."""
+"""`experiment` and `decompose`: metrics of runs on thousands of machines, and the causes of each tracker's error."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from linkplan.api.reporting import Progress, listener
 from linkplan.api.typed_commands import sample_again
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
-from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
+from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable, trackers_loaded
 from linkplan.studies.output.paths import path_of
+from linkplan.studies.variations.decompose import decompose as study
+from linkplan.studies.variations.decompose.decomposition import Decomposition
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
 from linkplan.studies.variations.experiment.experiment_blocks import ExperimentOutcome
 from linkplan.studies.variations.experiment.study import run_experiment
@@ -109,3 +111,48 @@ def experiment(
 
     outcome = run_experiment(source, digest, made, settings, target, say, engine=engine, threads=threads, own=own)
     return outcome if target is None else structs.replace(outcome, folder=target, again=partial(sample_again, target))
+
+
+@command(
+    "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits",
+    saved=True,
+    showing=("report",),
+)
+def decompose(
+    plan: PlanLike,
+    trackers: Sequence[TrackerLike] = LINEAR,
+    *,
+    imperfections: Mapping | None = None,
+    samples: int = 16,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Decomposition:
+    """Return each tracker's rms error on a plan, split among its causes: signed parts whose sum is the error.
+
+    Starting from an ideal loop, the effects of a real loop are switched on one by one: discretisation of the plan, the
+    feedforward that the tracker lacks, sampling and delay, the simulator, sensors and drives, model error, effort limits
+    (docs/choose-a-tracker.md).
+
+    Args:
+        plan: a plan with a motion, a problem, or the name or path of either.
+        trackers: built-in names, or functions of the sampled reference that return a law.
+        imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
+            default table (docs/experiments.md).
+        samples: number of random machines; there is a single one if nothing is random.
+        seed: seed of all random numbers.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: if the plan has no motion, or an argument is invalid.
+
+    Example::
+
+        print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], imperfections={"payload_mass_factor": 1.2}))
+    """
+    say = listener(progress)
+    asked = trackers_loaded(listed(trackers, "names or functions"))
+    whole(seed, "seed", 0, 2**63 - 1)
+    answer = plan_of(plan, say, "track")
+    if imperfections is not None:
+        answer = replace(answer, problem=answer.problem.replace(imperfections=imperfections))
+    return study.decompose(answer, asked, samples, seed, say)

@@ -1,13 +1,16 @@
 """Quantities of a mechanism along a motion, sampled: poses q (n, n_q), velocities v and accelerations a (n, n_s).
 
-They include the angles of ball joints with a range.
+They include the angles of ball joints with a range, the inertia that MuJoCo's own simulation, with its soft loops, lets a
+force on a coordinate accelerate, and the ctrl that planned efforts need, which a servo's ctrlrange must contain.
 """
 
 import functools
 
 import casadi as ca
+import mujoco
 import numpy as np
 
+from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.actuation.distribution import LEAST_SQUARES, ZERO_ARM_SHARE, distribute
 from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
@@ -192,3 +195,82 @@ def shut_balls(mechanism: Mechanism) -> str | None:
         f'ball joint {", ".join(names)} cannot turn: it has limited="true" and a range of 0 deg, perhaps from a default'
         ' class. Set limited="false" at the joint, or give it a range'
     )
+
+
+def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the inertia (n_s,) [kg.m2 or kg] that a force on each independent coordinate accelerates in the simulation.
+
+    All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii.
+    Behind a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be
+    unstable. With the rows J and the regularisation R of MuJoCo's equality constraints, a force f accelerates by
+    (M^-1 - M^-1 J^T (J M^-1 J^T + R)^-1 J M^-1) f (MuJoCo, "Computation", constraint model).
+    """
+    model = mechanism.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(pose)
+    mujoco.mj_forward(model, data)
+    rows, free = equality_rows(model, data)
+    held = free @ rows.T @ np.linalg.solve(rows @ free @ rows.T + np.diag(data.efc_R[: data.ne]), rows @ free)
+    found = np.empty(mechanism.dof)
+    for column, index in enumerate(mechanism.independent.tolist()):
+        unit = np.zeros(mechanism.n_q)
+        unit[index] = 1.0
+        found[column] = 1.0 / mechanism.rates_of(pose, (free - held) @ mechanism.qvel_of(pose, unit))[index]
+    return found
+
+
+def equality_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows J (n, nv) of MuJoCo's equality constraints, and M^-1 (nv, nv), at the pose of a forward pass."""
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return equality_jacobian(model, data), np.linalg.inv(mass)
+
+
+def equality_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return the rows J (n, nv) of MuJoCo's equality constraints at the pose of a forward pass."""
+    rows = np.zeros((data.ne, model.nv))  # they stand before the rows of limits and contacts
+    if mujoco.mj_isSparse(model):
+        of_rows = (data.efc_J_rownnz[: data.ne], data.efc_J_rowadr[: data.ne])
+        mujoco.mju_sparse2dense(rows, data.efc_J, *of_rows, data.efc_J_colind)
+    else:
+        rows[:] = data.efc_J[: rows.size].reshape(rows.shape)
+    return rows
+
+
+def needed_controls(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return MuJoCo's ctrl (n, n_u) of every actuator that gives efforts u (n, n_u) at poses q (n, n_q) under v (n, n_s).
+
+    The ctrl is (u - bias) / gain at MuJoCo's own length and speed of the actuator. The value is not clipped to the range,
+    and is infinite where the gain is zero.
+    """
+    return _needed(mechanism, q, v, u)[0]
+
+
+def _needed(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ctrls (n, n_u) of `needed_controls`, and the gains (n, n_u)."""
+    model, controls, gains = mechanism.model, np.empty((len(q), mechanism.n_u)), np.empty((len(q), mechanism.n_u))
+    data = mujoco.MjData(model)
+    rates = joint_rates(mechanism, q, v)
+    qpos, qvel = mechanism.qpos_of(q), mechanism.qvel_of(q, rates)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        for j, actuator in enumerate(mechanism.actuators):
+            state = np.array([1.0, data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]])
+            gain, bias = float(state @ actuator.gains), float(state @ actuator.biases)
+            controls[k, j], gains[k, j] = (u[k, j] - bias) / gain if gain else np.inf, gain
+    return controls, gains
+
+
+def control_excess(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the violation (n, n_u) of ctrlrange by the needed ctrl, in its own unit, negative inside the range.
+
+    If the whole range exceeds a force clamp, the value is the distance of the effort from that clamp.
+    """
+    ranges = np.array([[a.control_lower, a.control_upper] for a in mechanism.actuators]).reshape(-1, 2)
+    controls, gains = _needed(mechanism, q, v, u)
+    for j, actuator in enumerate(mechanism.actuators):
+        turning = np.isfinite(controls[:, j])
+        controls[turning, j] = ranged_control(actuator, controls[turning, j], u[turning, j], gains[turning, j], np.maximum)
+    return np.maximum(ranges[:, 0] - controls, controls - ranges[:, 1])

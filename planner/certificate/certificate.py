@@ -10,9 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.poses.along import whole_turns
+from linkplan.models.poses.along import control_excess, whole_turns
 from linkplan.models.poses.contacts import Contact
-from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,

@@ -17,12 +17,12 @@ from linkplan.planner.closed_chain.mechanics import (
     n_algebraic,
     node_numbers,
 )
-from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
 from linkplan.planner.limits.efforts import end_efforts, hold_a_free_goal, holds_at_rest
 from linkplan.planner.limits.joints import bounds_of_state
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
 from linkplan.planner.limits.rates import smooth_columns
+from linkplan.planner.limits.site import expression_of, scaled_coordinate, unit_of
 from linkplan.planner.problem.extra import jerk_of
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds

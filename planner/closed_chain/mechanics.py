@@ -24,8 +24,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.limits.body import coordinate
 from linkplan.planner.limits.limit import Limit, LimitFacts
+from linkplan.planner.limits.site import coordinate
 from linkplan.planner.problem.instant import Instant, Scales, with_parameters
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.felt_inertia import felt_inertia
+from linkplan.models.poses.along import felt_inertia
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking
 

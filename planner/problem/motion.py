@@ -12,9 +12,8 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, whole_turns
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, needed_controls, whole_turns
 from linkplan.models.poses.assembly import close_at, continue_to, follow, step_sizes
-from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Reference

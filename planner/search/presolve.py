@@ -14,9 +14,8 @@ import numpy as np
 
 from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded
+from linkplan.models.poses.along import demanded, needed_controls
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.friction import frictions_of

@@ -25,9 +25,8 @@ from linkplan.models.kinematics import (
     turned_coefficients,
 )
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import equality_rows, needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.reduction.reduced import acceleration_at
 from linkplan.models.tree.passive import simulated_gas_springs
 

@@ -21,7 +21,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import largest_forces, path_blocks, pin_table, weight_sentences
 from linkplan.studies.check.drives import joints_to_drive
 from linkplan.studies.check.inspection import Inspection, asked_pose, inspect
-from linkplan.studies.check.inspection_blocks import inspection_blocks
+from linkplan.studies.check.inspection_blocks import inspection_blocks, summary_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     Sweep,
@@ -42,7 +42,6 @@ from linkplan.studies.check.site_statics import (
     statics_blocks,
     statics_plots,
 )
-from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.check.tolerances import (
     Tolerances,
     tolerance_blocks,

@@ -3,8 +3,7 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
-from linkplan.models.poses.felt_inertia import felt_inertia
+from linkplan.models.poses.along import felt_inertia, sampled
 from linkplan.planner.problem.settings import Tracking
 
 # The inertia of a longer motion is computed at about this many poses.

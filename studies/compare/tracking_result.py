@@ -13,9 +13,8 @@ from linkplan.planner.problem.keys.imperfections import QUANTITIES
 from linkplan.studies.compare.compare import Comparison, run_figures
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.named_run import NamedRun
+from linkplan.studies.compare.named_run import NamedRun, save_time_series
 from linkplan.studies.compare.run_time import RunTime
-from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.tracking_sections import whole_comparison
 from linkplan.studies.output.document import Block, Report, Section, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec

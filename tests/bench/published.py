@@ -21,8 +21,8 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import equality_jacobian
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.plan import Plan

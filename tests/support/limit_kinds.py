@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
+from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, needed_controls, sampled, site_motion
 from linkplan.models.poses.body_angles import turning_bodies
-from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_forces import pins_of
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates

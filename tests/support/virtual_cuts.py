@@ -11,8 +11,7 @@ import numpy as np
 
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import accelerations, joint_rates, sampled
-from linkplan.models.poses.felt_inertia import equality_jacobian
+from linkplan.models.poses.along import accelerations, equality_jacobian, joint_rates, sampled
 from linkplan.models.selected_model import whole_spec
 from linkplan.models.tree.coordinates import BALL, HINGE, SLIDE, joint_label
 from linkplan.models.tree.passive import simulated_gas_springs

@@ -28,6 +28,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
+from linkplan.studies.check.inspection_blocks import grouped
 from linkplan.studies.check.new.locks import (
     HOLD_MULTIPLE,
     dropped,
@@ -40,7 +41,6 @@ from linkplan.studies.check.new.locks import (
 from linkplan.studies.check.new.loop_gap import SOFT_GAP, home_gap
 from linkplan.studies.check.new.pace import is_large
 from linkplan.studies.check.softness import STIFF_KEY
-from linkplan.studies.check.summary import grouped
 
 # Keys of the [mechanism] table that a change sets, and its sentence.
 Change = tuple[dict[str, object], str]

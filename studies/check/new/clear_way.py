@@ -9,6 +9,7 @@ from linkplan.models.kinematics import may_collide
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
+    control_excess,
     demanded,
     distributed,
     sampled,
@@ -16,7 +17,6 @@ from linkplan.models.poses.along import (
 )
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings, new_meetings
-from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.samples import singularity_ratios
@@ -25,8 +25,8 @@ from linkplan.planner.problem.default_gains import driven_columns
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, pose_beyond
 from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home
+from linkplan.studies.check.inspection_blocks import grouped
 from linkplan.studies.check.new.hanging import hanging_columns, lock_at_home
-from linkplan.studies.check.summary import grouped
 
 
 def obstacle_on_way(problem: Problem) -> str | None:

@@ -11,9 +11,9 @@ from linkplan.studies.feedback.bode.scan import stability
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint
 from linkplan.studies.feedback.frequency.floquet import Floquet
 from linkplan.studies.feedback.frequency.margins import Margins
-from linkplan.studies.feedback.frequency.plant_modes import PlantModes
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.stability_map import StabilityMap
+from linkplan.studies.feedback.frequency.transfer_function import PlantModes
 
 # Gains simulated in MuJoCo lie this share above and below the stability boundary.
 TRIAL_GAIN_SHARE = 0.02

@@ -22,8 +22,8 @@ from linkplan.studies.feedback.bode.plant_words import (
     plant_notes,
     root_text,
 )
-from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
+from linkplan.studies.feedback.frequency.transfer_function import plant_matrices
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import line_style

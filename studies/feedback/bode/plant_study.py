@@ -34,7 +34,6 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     feedback_loop,
     label_differences,
 )
-from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
 from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
 from linkplan.studies.feedback.frequency.ports import (
     PlantInput,
@@ -45,7 +44,12 @@ from linkplan.studies.feedback.frequency.ports import (
     plant_output,
 )
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
-from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
+from linkplan.studies.feedback.frequency.transfer_function import (
+    TransferFunction,
+    in_right_half_plane,
+    modes_of,
+    plant_transfer,
+)
 from linkplan.studies.feedback.frequency.trial import settle_trials
 
 # Number of decades drawn below a response's slowest root and above its fastest root.

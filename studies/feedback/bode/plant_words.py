@@ -10,9 +10,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
-from linkplan.studies.feedback.frequency.plant_modes import Mode, PlantModes
 from linkplan.studies.feedback.frequency.response import Response
-from linkplan.studies.feedback.frequency.transfer_function import TransferFunction
+from linkplan.studies.feedback.frequency.transfer_function import Mode, PlantModes, TransferFunction
 
 # Measured gains with a larger uncertainty, as a share of the gain, had not settled; they do not count and are not drawn.
 LARGEST_UNCERTAINTY = 0.01

@@ -10,13 +10,16 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import advance_all
 from linkplan.models.reduction.elimination import solve_positive
 from linkplan.models.tree.joints import unit_steps
-from linkplan.studies.handover.export.c_source import CFunction, function_of, helpers, identifier
 from linkplan.studies.handover.export.c_text import (
     MATH,
     NO_LIMIT,
+    CFunction,
     block_comment,
     declared_array,
+    function_of,
     header_of,
+    helpers,
+    identifier,
     limit_macros,
     tests_text,
 )

@@ -20,7 +20,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import Limits
 from linkplan.studies.compare.compare import build_tracker, lqr_settings, tracking_reference
 from linkplan.studies.feedback.frequency.floquet import linear_law
-from linkplan.studies.handover.export.c_source import identifier
+from linkplan.studies.handover.export.c_text import identifier
 
 # Larger tables rarely fit into a controller's flash; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000

@@ -7,8 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import accelerations, sampled
-from linkplan.models.poses.controls import needed_controls
+from linkplan.models.poses.along import accelerations, needed_controls, sampled
 from linkplan.planner.plan.plan import MotionTable, Plan, motion_table
 
 # This many keyframes take about a gigabyte.

@@ -41,8 +41,7 @@ from linkplan.studies.variations.experiment.sensitivity import (
     sensitivity_blocks,
     tornado_figures,
 )
-from linkplan.studies.variations.experiment.statistics import Estimate, Pair
-from linkplan.studies.variations.experiment.summary import Summary
+from linkplan.studies.variations.experiment.statistics import Estimate, Pair, Summary
 
 # The first words of the metrics in the figure, in this order; on a page the distributions of the others are collapsed.
 SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")

@@ -22,7 +22,7 @@ from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.variations.experiment.block import run_block, sample_blocks
+from linkplan.studies.variations.experiment.block import run_block, sample_blocks, unbatched_notes
 from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.variations.experiment.experiment import (
     AskedRecord,
@@ -36,10 +36,9 @@ from linkplan.studies.variations.experiment.experiment import (
     request_of,
 )
 from linkplan.studies.variations.experiment.experiment_blocks import ExperimentOutcome
-from linkplan.studies.variations.experiment.laws import unbatched_notes
 from linkplan.studies.variations.experiment.metrics import metrics_of
 from linkplan.studies.variations.experiment.sensitivity import sensitivity_of
-from linkplan.studies.variations.experiment.summary import chatter_notes, summarise
+from linkplan.studies.variations.experiment.statistics import chatter_notes, summarise
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
 from linkplan.studies.variations.tasks.streaming import complete
 from linkplan.studies.variations.tasks.unfinished import (

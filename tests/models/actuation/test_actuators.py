@@ -7,7 +7,7 @@ import pytest
 from linkplan.models.actuation.actuators import Actuator, unusable_reason
 from linkplan.models.audit import audit
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.controls import control_excess, needed_controls
+from linkplan.models.poses.along import control_excess, needed_controls
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import replaced, simulated
 from tests.support.servos import ctrl_of

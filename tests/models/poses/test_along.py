@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import felt_inertia
 from linkplan.models.poses.assembly import advance, follow, in_loops
-from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.models.poses.reach import reach, toggles
 from tests.support.parallel_ankle import ankle_text, soft_ankle
 

@@ -8,8 +8,8 @@ import scipy.optimize
 
 import linkplan
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import control_excess
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.controls import control_excess
 from tests.support.bodies import SERVO_ARM, body_plan
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import replaced

@@ -14,8 +14,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
+from linkplan.planner.limits.site import BodyAngleLimit
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import ExtraLimit

@@ -8,9 +8,9 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.studies.check.drives import _krylov_space
+from linkplan.studies.check.inspection_blocks import grouped
 from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
 from linkplan.studies.check.path_quantities import path_figures
-from linkplan.studies.check.summary import grouped
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.text import text_of
 from tests.support.hexapod import hexapod

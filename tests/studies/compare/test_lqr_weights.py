@@ -12,7 +12,7 @@ from linkplan.controllers.sampling import sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.felt_inertia import felt_inertia
+from linkplan.models.poses.along import felt_inertia
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import plan_motion

@@ -32,7 +32,7 @@ from linkplan.studies.compare.compare import (
 )
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.time_series import run_columns, save_time_series
+from linkplan.studies.compare.named_run import run_columns, save_time_series
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of

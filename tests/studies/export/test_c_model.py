@@ -21,7 +21,7 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.handover.export.c_files import in_single_precision, operations, write_model
 from linkplan.studies.handover.export.c_model import ModelCode, header_text, model_code, random_states
-from linkplan.studies.handover.export.c_source import function_of, identifier
+from linkplan.studies.handover.export.c_text import function_of, identifier
 from linkplan.studies.handover.export.export import checked_outputs
 from linkplan.studies.handover.export.output_joints import with_outputs
 from linkplan.studies.output.text import text_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.studies.feedback.frequency.plant_modes import plant_modes
+from linkplan.studies.feedback.frequency.transfer_function import plant_modes
 
 MOTOR, LOAD, STIFFNESS, DAMPING, AT_MOTOR, AT_LOAD = 0.02, 0.01, 200.0, 0.1, 0.01, 0.02  # SI units
 TWO_MASSES = f"""
