@@ -86,7 +86,10 @@ def play(
             if asked.run != controls.run:
                 window.set_texts(_texts(mujoco, [("tracker", asked.tracker), ("", "is being run ...")]))
                 window.sync()
-                shown, refused = _made(make, asked, shown)
+                try:
+                    shown, refused = make(asked), ""
+                except LinkplanError as error:  # the previous run is shown again
+                    refused = one_line(error)[:100]
                 at, last = 0.0, time.monotonic()
             at = 0.0 if asked.begun != controls.begun else at
             controls = asked
@@ -121,14 +124,6 @@ def pace(controls: Controls, refused: str) -> Rows:
     if controls.paused:
         rows.append(("", "stopped"))
     return [*rows, ("refused", refused)] if refused else rows
-
-
-def _made(make: Callable[[Controls], Shown], asked: Controls, before: Shown) -> tuple[Shown, str]:
-    """Return the new run; if it is refused, the previous run and the reason."""
-    try:
-        return make(asked), ""
-    except LinkplanError as error:
-        return before, one_line(error)[:100]
 
 
 def _texts(mujoco, rows: Rows) -> list[tuple]:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
 import mujoco
 import numpy as np
 
@@ -53,8 +52,8 @@ def _joints(model: mujoco.MjModel):
 
 
 def _tendons(model: mujoco.MjModel):
-    lengths, q = _tendon_lengths(model)
     armatures = tendon_armatures(model)
+    tree = build_tree(model) if any(armatures) else None
     for tendon in range(model.ntendon):
         name = tendon_label(model, tendon)
         if model.tendon_springyield[tendon] > 0:
@@ -70,15 +69,10 @@ def _tendons(model: mujoco.MjModel):
             ]
             of = f"of tendon {name}, which {LACKING}"
             yield from (f"{what} {of}" for what, present in forces if present)
-        elif armatures[tendon] > 0 and (length := lengths[tendon]) is not None and spans_branches(model, length, q):
+        elif tree and armatures[tendon] > 0 and (length := tree.tendon_lengths[tendon]) is not None:
+            if not spans_branches(model, length, tree.q):
+                continue
             yield f"armature of tendon {name}: it couples two branches of the tree, which the simulator's inertia leaves out"
-
-
-def _tendon_lengths(model: mujoco.MjModel) -> tuple[tuple[ca.SX | None, ...], ca.SX]:
-    if not any(tendon_armatures(model)):
-        return (None,) * model.ntendon, ca.SX(0, 1)
-    tree = build_tree(model)
-    return tree.tendon_lengths, tree.q
 
 
 def _surroundings(model: mujoco.MjModel):
@@ -91,7 +85,10 @@ def _surroundings(model: mujoco.MjModel):
             f" {clamped[0]}{f' and {len(clamped) - 1} more' if len(clamped) > 1 else ''}: without their actuatorgravcomp it"
             " acts in full"
         )
-    yield from _uncompensated(model)
+    if compensates(model) and (model.nactuator == 0 or disabled(model, mujoco.mjtDisableBit.mjDSBL_ACTUATION)):
+        for joint in np.flatnonzero(model.jnt_actgravcomp).tolist():  # the simulator drops it if no actuator acts
+            name = joint_label(model, joint)
+            yield f"gravcomp carried by the actuators of joint {name} (actuatorgravcomp), where no actuator acts"
     if model.opt.density > 0 or model.opt.viscosity > 0:  # wind alone has no effect
         yield "fluid forces (option density or viscosity)"
     if model.nflex:
@@ -99,22 +96,9 @@ def _surroundings(model: mujoco.MjModel):
     for body in np.flatnonzero(model.body_plugin >= 0).tolist():  # actuators report their own
         yield f"the plugin of body {model.body(body).name}"
     if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
-        yield from _asleep(model)
-
-
-def _uncompensated(model: mujoco.MjModel):
-    """Yield the gravity compensation on joints with actuatorgravcomp if no actuator acts: the simulator then drops it."""
-    if compensates(model) and (model.nactuator == 0 or disabled(model, mujoco.mjtDisableBit.mjDSBL_ACTUATION)):
-        for joint in np.flatnonzero(model.jnt_actgravcomp).tolist():
-            name = joint_label(model, joint)
-            yield f"gravcomp carried by the actuators of joint {name} (actuatorgravcomp), where no actuator acts"
-
-
-def _asleep(model: mujoco.MjModel):
-    """Yield the trees that the simulator leaves asleep until another body wakes them."""
-    for tree in np.flatnonzero(model.tree_sleep_policy == int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)).tolist():
-        body = int(np.flatnonzero(model.body_treeid == tree)[0])
-        yield f'sleep="init" of body {model.body(body).name}: the simulator leaves it and what it carries asleep'
+        for tree in np.flatnonzero(model.tree_sleep_policy == int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)).tolist():
+            body = int(np.flatnonzero(model.body_treeid == tree)[0])
+            yield f'sleep="init" of body {model.body(body).name}: the simulator leaves it and what it carries asleep'
 
 
 def _actuators(model: mujoco.MjModel):

@@ -126,7 +126,12 @@ class Equations:
         for given, factor in ((at_rad, 1.0), (at_deg, np.pi / 180), (at_m, 1.0)):
             for name, value in (given or {}).items():
                 goal[names.index(choose("independent joint", name, names, ModelError))] = factor * float(value)
-        return self._closed_at(goal)
+        # On the branch of home along a straight path.
+        rules = Closing(dynamics=self.dynamics, step_size=STEP_RAD * unit_steps(self.joints, self.extent_m))
+        q = [self.home, *(pose for _, (pose,) in continued(rules, self.home[None], goal[None]))][-1]
+        if np.any(q[self.independent] != goal) or not np.linalg.norm(np.array(self.dynamics.closure(q))) < 1e-8:
+            raise AssemblyError(f"the kinematic loop opens on the way to {np.round(goal, 6).tolist()} rad or m")
+        return q
 
     def closure(self, pose_rad: np.ndarray) -> np.ndarray:
         """Return the closure residuals phi (..., n_closure_rows) [m] of poses (..., n_q) [rad or m]; zero where closed."""
@@ -186,11 +191,3 @@ class Equations:
     ) -> np.ndarray:
         """Return the forces (..., n_closure_rows) [N] that keep the loops closed, on the rows of `closure`."""
         return values(self.function("closure_force"), pose_rad, velocity_rad_s, acceleration_rad_s2, effort)
-
-    def _closed_at(self, goal: np.ndarray) -> np.ndarray:
-        """Return the closed pose with independent joints at `goal` (n_s,), on the branch of home along a straight path."""
-        rules = Closing(dynamics=self.dynamics, step_size=STEP_RAD * unit_steps(self.joints, self.extent_m))
-        q = [self.home, *(pose for _, (pose,) in continued(rules, self.home[None], goal[None]))][-1]
-        if np.any(q[self.independent] != goal) or not np.linalg.norm(np.array(self.dynamics.closure(q))) < 1e-8:
-            raise AssemblyError(f"the kinematic loop opens on the way to {np.round(goal, 6).tolist()} rad or m")
-        return q

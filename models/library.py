@@ -13,7 +13,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -319,7 +319,9 @@ def _read_file(path: Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     parts = {str(path): content} | _included(content, path.parent, {})
     old = [word for part in parts.values() for word in _RETIRED.findall(COMMENT.sub(b"", part))]
     retired = ", ".join(dict.fromkeys(word.decode() for word in old))
-    attached = _attached(parts.values(), path.parent)
+    words = [word for part in parts.values() for word in _ATTACHED.findall(COMMENT.sub(b"", part))]
+    names = [word.decode("utf-8", "replace") for word in words]
+    attached = {name: place for name in names if (place := path.parent / name).is_file()}
     spec = _spec_of(
         path, {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts, edited=bool(old)
     )
@@ -352,12 +354,6 @@ def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str
             robot_element(found[name].decode("utf-8", "replace"), f"'{name}'")
             _included(found[name], folder, found)
     return found
-
-
-def _attached(parts: Iterable[bytes], folder: Path) -> dict[str, Path]:
-    """Return the files of the models that a model attaches, by name."""
-    names = [word.decode("utf-8", "replace") for part in parts for word in _ATTACHED.findall(COMMENT.sub(b"", part))]
-    return {name: place for name in names if (place := folder / name).is_file()}
 
 
 def _lost_in(attached: Mapping[str, Path]) -> tuple[str, ...]:

@@ -123,7 +123,8 @@ def set_parameters(model: mujoco.MjModel, values: Mapping[str, float | None]) ->
     Raises:
         ModelError: for a name that the model has not, two parameters that set the same number, or a value out of bounds.
     """
-    payload = [name for name in parameters_of(model) if name.startswith(f"{_PAYLOAD}.")] if _has_payload(model) else []
+    carries = any(model.body(body).name == BODY_NAME for body in range(model.nbody))
+    payload = [name for name in parameters_of(model) if name.startswith(f"{_PAYLOAD}.")] if carries else []
     names = (*payload, *(name for name in values if name not in payload))
     written = {name: value for name, value in values.items() if value is not None}
     if written:
@@ -148,10 +149,6 @@ def is_affine_in_efforts(one: Parameter) -> bool:
     pin, an axis or a gear changes poses or moment arms.
     """
     return is_of_forces(one) and not any(field == "body_ipos" for field, _ in one.sets)
-
-
-def _has_payload(model: mujoco.MjModel) -> bool:
-    return any(model.body(body).name == BODY_NAME for body in range(model.nbody))
 
 
 def with_symbols(model: mujoco.MjModel, parameters: Sequence[Parameter], symbols: ca.SX) -> mujoco.MjModel:

@@ -114,7 +114,13 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     notes += leave_the_ground(spec) if hangs else ()
     for first, second in _filtered_pairs(model, set(locked), set(dropped)):
         spec.add_exclude(bodyname1=first, bodyname2=second)
-    notes += _exclude(spec, asked.exclude_contacts)
+    bodies = [body.name for body in spec.bodies]
+    for pair in asked.exclude_contacts:
+        first, second = (choose("body in mechanism.exclude_contacts", name, bodies) for name in pair)
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    if asked.exclude_contacts:
+        pairs = ", ".join(f"{first} and {second}" for first, second in asked.exclude_contacts)
+        notes.append(f"contacts excluded (mechanism.exclude_contacts): {pairs}")
     still = _joint_names(model, locked)  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
     add_forces(spec, asked.force)
@@ -215,7 +221,9 @@ def _lock(
     for body in sorted({int(model.jnt_bodyid[j]) for j in locked}):
         own = [j for j in joints_of(model, body) if j in locked]
         for j in own:
-            where = "against spin about the line of its rod" if j in spins else _words(model, j, place[_slice(model, j)])
+            kind, at = int(model.jnt_type[j]), place[_slice(model, j)][0]
+            where = f"at {np.degrees(at):.6g} deg" if kind == HINGE else f"at {at:.6g} m" if kind == SLIDE else "at home"
+            where = "against spin about the line of its rod" if j in spins else where
             said.setdefault(where, []).append(model.joint(j).name or f"of {model.body(body).name}")
         for j in set(range(joints_of(model, body)[0], own[-1])) - set(own):  # joints after them keep their axes
             joint = spec.joint(model.joint(j).name)
@@ -230,13 +238,6 @@ def _lock(
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{listed(names, 12)} {where}" for where, names in said.items())]
     return [*notes, f"dropped with the locked joints: {', '.join(acting)}"] if acting else notes
-
-
-def _words(model: mujoco.MjModel, joint: int, position: np.ndarray) -> str:
-    kind = int(model.jnt_type[joint])
-    if kind == HINGE:
-        return f"at {np.degrees(position[0]):.6g} deg"
-    return f"at {position[0]:.6g} m" if kind == SLIDE else "at home"
 
 
 def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
@@ -284,21 +285,6 @@ def _filtered_pairs(model: mujoco.MjModel, locked: set[int], dropped: set[int]) 
         for hanging in sorted(solid - still)
         if weld[fixed] and weld[fixed] == weld[model.body_parentid[weld[hanging]]]
     ]
-
-
-def _exclude(spec: mujoco.MjSpec, pairs: Sequence[Sequence[str]]) -> list[str]:
-    """Exclude the contacts between pairs of bodies, and return a note on them.
-
-    Raises:
-        ModelError: for a name that is no body's.
-    """
-    bodies = [body.name for body in spec.bodies]
-    for first, second in pairs:
-        for name in (first, second):
-            choose("body in mechanism.exclude_contacts", name, bodies)
-        spec.add_exclude(bodyname1=first, bodyname2=second)
-    names = ", ".join(f"{first} and {second}" for first, second in pairs)
-    return [f"contacts excluded (mechanism.exclude_contacts): {names}"] if pairs else []
 
 
 _ON_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
-from linkplan.controllers.imperfections.imperfections import Imperfections, Push
+from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import ImperfectPlant, body_index
 from linkplan.controllers.trackers.tracker import added
 from linkplan.models.errors import LinkplanError
@@ -72,15 +72,11 @@ def pushing(
         for m, push in enumerate(one.pushes):
             start[i, m] = push.start_s / h - begun
             end[i, m] = start[i, m] + push.duration_s / h
-            _place(push, mechanism, force[i, m], effort[i, m])
+            if push.body is not None and push.force is not None:
+                force[i, m, body_index(mechanism.model, push.body), :3] = push.force
+            if push.joint is not None:
+                effort[i, m, mechanism.joint_index(push.joint, LinkplanError)] = push.effort
     return PushState(start=start, end=end, force=force, effort=effort)
-
-
-def _place(push: Push, mechanism: Mechanism, force: np.ndarray, effort: np.ndarray) -> None:
-    if push.body is not None and push.force is not None:
-        force[body_index(mechanism.model, push.body), :3] = push.force
-    if push.joint is not None:
-        effort[mechanism.joint_index(push.joint, LinkplanError)] = push.effort
 
 
 class SiteForces:

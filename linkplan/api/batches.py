@@ -53,24 +53,15 @@ def batch(
     engine = engine_of(workers, cluster)
     if isinstance(cases, Mapping):
         problem = cases.get("problem")
-        asked = batch_from(
-            to_toml_types({**cases, "problem": _text_of(problem)} if isinstance(problem, Problem) else cases), Path()
-        )
+        if isinstance(problem, Problem):
+            if problem.extras:
+                raise ProblemError(
+                    f"a batch needs problems that a file can contain; '{problem.name}' has costs or limits given as Python"
+                    " expressions"
+                )
+            cases = {**cases, "problem": problem.to_toml()}
+        asked = batch_from(to_toml_types(cases), Path())
     else:
         asked = read_batch(path_of(cases, "cases"))
     target = None if folder is None else path_of(folder, "folder")
     return run_batch(asked, target, listener(progress), engine=engine, parquet=parquet)
-
-
-def _text_of(problem: Problem) -> str:
-    """Return a problem as the text of a problem file, which workers can read.
-
-    Raises:
-        ProblemError: for a problem with costs or limits given as expressions, which a file cannot contain.
-    """
-    if problem.extras:
-        raise ProblemError(
-            f"a batch needs problems that a file can contain; '{problem.name}' has costs or limits given as Python"
-            " expressions"
-        )
-    return problem.to_toml()

@@ -49,12 +49,20 @@ class Source:
         """
         if self.is_problem:
             return self.with_settings(*read_tables(self.name))
-        _refuse_no_model(self.name)
+        if self.name not in MODELS and "<" not in self.name:
+            remedy = "give the file of its problem, an MJCF file, or a built-in name (linkplan list)"
+            refuse_saved_plan(self.name, "model", remedy)
+            if not os.path.exists(Path(self.name)):
+                raise ModelError(unknown_source("model or problem", self.name, (*MODELS, *PROBLEMS)))
         return self.with_settings(self.name, {"mechanism": {"model": self.name}}, None)
 
     def with_settings(self, name: str, tables: Tables, folder: Path | None) -> tuple[str, Tables, Path | None]:
         """Return a problem's name, tables and folder with the settings and the selection."""
-        _set_all(tables, self.settings)
+        for setting in self.settings:
+            try:
+                apply_override(tables, setting)
+            except ProblemError as error:
+                raise ProblemError(f"set: {error}") from error
         section, asked = tables.get("mechanism", {}), dict(self.selection)
         if not asked:
             return name, tables, folder
@@ -197,23 +205,6 @@ def _saved_plan(source: Source, say: Listener) -> Plan:
     if not plan.passed:
         say.keep(f"run anyway: {plan.message}")
     return plan
-
-
-def _set_all(tables: Tables, settings: Sequence[str]) -> None:
-    for setting in settings:
-        try:
-            apply_override(tables, setting)
-        except ProblemError as error:
-            raise ProblemError(f"set: {error}") from error
-
-
-def _refuse_no_model(source: str) -> None:
-    """Refuse a saved plan, and a source that is neither a built-in name nor a file nor MJCF text."""
-    if source in MODELS or "<" in source:
-        return
-    refuse_saved_plan(source, "model", "give the file of its problem, an MJCF file, or a built-in name (linkplan list)")
-    if not os.path.exists(Path(source)):
-        raise ModelError(unknown_source("model or problem", source, (*MODELS, *PROBLEMS)))
 
 
 def is_problem(name: str | Path) -> bool:

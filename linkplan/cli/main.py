@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                     # Otherwise MuJoCo starts a process that looks for a window library and also receives signals.
                     # `render` uses MuJoCo's contexts directly.
                     os.environ["MUJOCO_GL"] = "disable"
-                    _with_own_figures()
+                    # Nor do the matplotlib settings of the working folder and the shell apply.
+                    os.environ.pop("MPLBACKEND", None)
+                    os.environ["MATPLOTLIBRC"] = os.devnull
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:
@@ -82,12 +84,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
         put(sys.stderr, parser.format_help())
         return BAD_INPUT
     return arguments
-
-
-def _with_own_figures() -> None:
-    """Make this process ignore the matplotlib settings of the working folder and the shell."""
-    os.environ.pop("MPLBACKEND", None)
-    os.environ["MATPLOTLIBRC"] = os.devnull
 
 
 def _refuse_unusable_date() -> None:

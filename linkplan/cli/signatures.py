@@ -74,13 +74,9 @@ def _source(module: str) -> ast.Module:
     return ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
 
 
-def _functions(module: ast.Module) -> list[ast.FunctionDef]:
-    return [node for node in module.body if isinstance(node, ast.FunctionDef)]
-
-
 def _commands_of(module: ast.Module) -> list[Command]:
     found = []
-    for function in _functions(module):
+    for function in (node for node in module.body if isinstance(node, ast.FunctionDef)):
         for call in function.decorator_list:
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "command":
                 said = {word.arg: _value(word.value) for word in call.keywords}
@@ -124,9 +120,5 @@ def _sentences(docstring: str) -> dict[str, str]:
     if section is None:
         return {}
     entries = re.findall(r"^    (\w+): ((?:.*\n?)(?:^     +.*\n?)*)", section[1], re.MULTILINE)
-    return {name: _first_sentence(" ".join(text.split())) for name, text in entries}
-
-
-def _first_sentence(text: str) -> str:
-    first = re.split(r"\.(?= [A-Z`]|$)", text)[0]
-    return first.replace("`", "")
+    firsts = {name: re.split(r"\.(?= [A-Z`]|$)", " ".join(text.split()))[0] for name, text in entries}
+    return {name: first.replace("`", "") for name, first in firsts.items()}

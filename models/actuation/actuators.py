@@ -158,15 +158,10 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
         return "the first number of its gear is zero, and on a hinge, slide or tendon only that number counts"
     if kind == TRN_TENDON and lacks_length(model, int(model.actuator_trnid[index, 0])):
         return f"its tendon {LACKING}"
-    if _moves(model, index) and not has_length(model, index):
+    depends = any(any(terms[1:]) for terms in _coefficients(model, index))  # on the length or velocity at a given ctrl
+    if depends and not has_length(model, index):
         return "it is a servo on a rotation, whose length MuJoCo wraps to one turn"
     return None
-
-
-def _moves(model: mujoco.MjModel, index: int) -> bool:
-    """Return True if the actuator's force depends on its length or velocity at a given ctrl."""
-    gains, biases = _coefficients(model, index)
-    return any(gains[1:]) or any(biases[1:])
 
 
 def _is_line(model: mujoco.MjModel, index: int) -> bool:

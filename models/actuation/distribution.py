@@ -41,7 +41,7 @@ def distribute(
     """
     n, n_u = len(tau), maps.shape[2]
     wanted = np.broadcast_to(np.asarray(wanted, dtype=float), (n, n_u))
-    effort = wanted + _least_norm(tau - np.einsum("ksu,ku->ks", maps, wanted), maps)
+    effort = wanted + np.einsum("kus,ks->ku", unit_efforts(maps), tau - np.einsum("ksu,ku->ks", maps, wanted))
     limit = np.broadcast_to(limit, (n, n_u, 2))
     low, high = limit[..., 0], limit[..., 1]
     asked = np.full(n, True) if rule == LEAST_PEAK else np.any((effort < low) | (effort > high), axis=1)
@@ -88,11 +88,6 @@ def actuator_sizes(limit: np.ndarray) -> np.ndarray:
     """Return the larger absolute limit (..., n_u) of actuators (..., n_u, 2), the unit of an effort; 1 without limits."""
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=-1)
     return np.where(size > 0, size, 1.0)
-
-
-def _least_norm(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """Return the efforts (n, n_u) of least norm that give generalised efforts tau (n, n_s), in least squares."""
-    return np.einsum("kus,ks->ku", unit_efforts(maps), tau)
 
 
 def _null_spaces(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -80,23 +80,17 @@ def _spinning_bodies(
     acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), spring])
     scale = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max()))
     free = np.abs(acting.T @ gamma).max(axis=0) <= scale * np.abs(gamma).max(axis=0)
-    speeds, turns = _body_rates(model, coordinates, q, gamma * free)
+    rates = gamma * free
+    data, qvel = data_at(model, coordinates.qpos_of(q)), coordinates.qvel_of(np.broadcast_to(q, rates.T.shape), rates.T).T
+    linear, angular = np.zeros((2, model.nbody, 3, model.nv))
+    for body in np.flatnonzero(model.body_mass > 0):
+        mujoco.mj_jacBodyCom(model, data, linear[body], angular[body], body)
+    speeds, turns = np.linalg.norm(linear @ qvel, axis=1), np.linalg.norm(angular @ qvel, axis=1)  # of centres; (n_body, n)
     moment, whole = model.body_mass @ speeds, model.body_mass[model.body_weldid > 0].sum()
     # With a more distant centre of mass a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
     least = _OFFSET_SHARE * extent_m * turns.max(axis=0)
     spins = free & ((speeds.max(axis=0) <= least) | (moment <= 0.01 * whole * least))
     return spins & (turns > ROUNDING_SHARE * turns.max(axis=0))
-
-
-def _body_rates(
-    model: mujoco.MjModel, coordinates: Coordinates, q: np.ndarray, rates: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the speeds of centres [m/s] and the turning speeds [rad/s] (n_body, n) at rates (n_q, n); 0 without mass."""
-    data, qvel = data_at(model, coordinates.qpos_of(q)), coordinates.qvel_of(np.broadcast_to(q, rates.T.shape), rates.T).T
-    linear, angular = np.zeros((2, model.nbody, 3, model.nv))
-    for body in np.flatnonzero(model.body_mass > 0):
-        mujoco.mj_jacBodyCom(model, data, linear[body], angular[body], body)
-    return np.linalg.norm(linear @ qvel, axis=1), np.linalg.norm(angular @ qvel, axis=1)
 
 
 def find_coasting_dofs(

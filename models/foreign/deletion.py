@@ -7,7 +7,6 @@ refused, because its dynamics would change.
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -173,7 +172,13 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     Raises:
         ModelError: if a body has its mass from a mesh that is not there, or a file is a pipe or a device.
     """
-    places = _places(spec, path.parent)
+    stripped, files = bool(spec.strippath), ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures))
+    places = {
+        one: _place(path.parent / below, one.file, stripped) for below, elements in files for one in elements if one.file
+    }
+    for element, place in places.items():
+        if os.path.exists(place) and not os.path.isfile(place):  # MuJoCo would wait for a pipe
+            raise ModelError(f"'{shown(element.file)}' is not a regular file (a folder, a pipe or a device)")
     pointers = {element for element, place in places.items() if is_pointer(place)}
     lost = {element for element, place in places.items() if element in pointers or not os.path.isfile(place)}
     meshes = [mesh for mesh in spec.meshes if mesh in lost]
@@ -192,20 +197,6 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     said = f"missing files are ignored, with everything that uses them: {listed(names, 6)}"
     said += "; for Git LFS pointers, git lfs pull downloads the files" if pointers else ""
     return (*notes, said)
-
-
-def _places(spec: mujoco.MjSpec, folder: Path) -> dict[Any, Path]:
-    """Return the paths of the files of meshes and textures of a model in a folder.
-
-    Raises:
-        ModelError: if one of them is a folder, a pipe or a device.
-    """
-    stripped, files = bool(spec.strippath), ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures))
-    places = {one: _place(folder / below, one.file, stripped) for below, elements in files for one in elements if one.file}
-    for element, place in places.items():
-        if os.path.exists(place) and not os.path.isfile(place):  # MuJoCo would wait for a pipe
-            raise ModelError(f"'{shown(element.file)}' is not a regular file (a folder, a pipe or a device)")
-    return places
 
 
 def leave_out_large_textures(spec: mujoco.MjSpec, folders: Iterable[Path]) -> tuple[str, ...]:

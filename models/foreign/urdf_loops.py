@@ -363,7 +363,10 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
             if kind == "filter":
                 actuator.dyntype, actuator.actlimited = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtLimited.mjLIMITED_FALSE
             elif kind == "plugin":
-                _delete_with_sensors(spec, actuator)
+                of_it = (s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname == actuator.name)
+                for sensor in list(of_it):
+                    spec.delete(sensor)
+                spec.delete(actuator)
         if all(kind in ("", "plugin") for _, kind in own):
             noted["added"].append(name)
             motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
@@ -371,12 +374,6 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
             if joint.actfrcrange[1] > 0:
                 motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
     return [f"{_DRIVE_NOTES[kind]}: {', '.join(actuators)}" for kind, actuators in noted.items() if actuators]
-
-
-def _delete_with_sensors(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    for sensor in [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname == actuator.name]:
-        spec.delete(sensor)
-    spec.delete(actuator)
 
 
 def _kind_of(actuator: mujoco.MjsActuator) -> str:

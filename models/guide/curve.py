@@ -109,7 +109,7 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
     """Return the polyline through points (n, 3) with corners rounded by quintics that begin `blend_m` before them.
 
     Raises:
-        ModelError: for a corner that is not rounded, or a segment that is too short for its blends.
+        ModelError: for a corner that is not rounded, one that turns back, or a segment that is too short for its blends.
     """
     ways = np.diff(points, axis=0)
     lengths = np.linalg.norm(ways, axis=1)
@@ -117,7 +117,10 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
     pieces: list[Polynomial] = []
     begin = 0.0
     for k, (point, unit, length) in enumerate(zip(points, units, lengths, strict=False)):
-        corner = k + 1 < len(units) and _turns(unit, units[k + 1], points[k + 1], where)
+        last = k + 1 == len(units)
+        corner = not last and np.linalg.norm(np.cross(unit, units[k + 1])) > _STRAIGHT_SINE
+        if not corner and not last and unit @ units[k + 1] < 0:
+            raise ModelError(f"{where} turns back on itself at {_text(points[k + 1])}; end it there")
         if corner and not blend_m:
             raise ModelError(
                 f"{where} has a corner at {_text(points[k + 1])}, where a site could only stop;"
@@ -135,18 +138,6 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
             pieces.append(_blend(points[k + 1], unit, units[k + 1], blend_m))
         begin = blend_m if corner else 0.0
     return Curve(tuple(pieces))
-
-
-def _turns(before: np.ndarray, after: np.ndarray, corner: np.ndarray, where: str) -> bool:
-    """Return whether two segments have different directions.
-
-    Raises:
-        ModelError: for opposite ones.
-    """
-    straight = bool(np.linalg.norm(np.cross(before, after)) <= _STRAIGHT_SINE)
-    if straight and before @ after < 0:
-        raise ModelError(f"{where} turns back on itself at {_text(corner)}; end it there")
-    return not straight
 
 
 def _text(point: np.ndarray) -> str:

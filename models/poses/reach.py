@@ -171,13 +171,6 @@ def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[n
     return found
 
 
-def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> np.ndarray:
-    """Return the pose with one coordinate at x by continuation from `start`, or the last pose before the loop opens."""
-    s = start[mechanism.independent].copy()
-    s[coordinate] = x
-    return advance(mechanism, start, s)[0]
-
-
 def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
     """Return the poses after home up to the end in one direction, the end, and the singular pose there, if any."""
     index = int(mechanism.independent[coordinate])
@@ -290,7 +283,9 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
     def at(x: float) -> np.ndarray:
         nearest = min(known, key=lambda pose: abs(pose[index] - x))
-        known.append(_at(mechanism, nearest, coordinate, x))
+        s = nearest[mechanism.independent].copy()
+        s[coordinate] = x
+        known.append(advance(mechanism, nearest, s)[0])  # the last pose before the loop opens, if it does
         return known[-1]
 
     if function(q) * function(trial) >= 0 or function(q) * function(at(b)) >= 0:

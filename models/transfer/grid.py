@@ -87,7 +87,8 @@ def adaptive_grid(
         fits = np.prod([len(axis) + np.count_nonzero(more) for axis, more in zip(axes, coarse, strict=True)]) <= most_nodes
         if not fits:
             coarse = _coarsest(axes, misses, coarse, most_nodes)
-        axes = [_halved(axis, intervals) for axis, intervals in zip(axes, coarse, strict=True)]
+        middles = [0.5 * (axis[:-1] + axis[1:])[halved] for axis, halved in zip(axes, coarse, strict=True)]
+        axes = [np.sort(np.concatenate(both)) for both in zip(axes, middles, strict=True)]
         if not fits:
             break  # the measured error says by how much the tolerance is missed
     whole = known(axes)
@@ -153,12 +154,6 @@ def _coarsest(axes, misses, coarse, most_nodes: int) -> list[np.ndarray]:
             break
         chosen[k][i] = True
     return chosen
-
-
-def _halved(axis: np.ndarray, intervals: np.ndarray) -> np.ndarray:
-    """Return an axis with some intervals (n,) halved."""
-    middles = 0.5 * (axis[:-1] + axis[1:])
-    return np.sort(np.concatenate([axis, middles[intervals]]))
 
 
 def _measured(function, axes, values, scale) -> tuple[dict[str, float], int]:

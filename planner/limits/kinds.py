@@ -4,7 +4,6 @@ import functools
 import importlib
 import pkgutil
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -50,11 +49,9 @@ def _kinds() -> Iterator[type[Limit]]:
                     yield value
 
 
-def _place(kind: type[Limit]) -> int:
-    return _ORDER.index(kind.key) if kind.key in _ORDER else len(_ORDER)
-
-
-KINDS: tuple[type[Limit], ...] = tuple(sorted(_kinds(), key=_place))
+KINDS: tuple[type[Limit], ...] = tuple(
+    sorted(_kinds(), key=lambda kind: _ORDER.index(kind.key) if kind.key in _ORDER else len(_ORDER))
+)
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must permit the motion is widened by this
 # factor.
 BETWEEN_NODES_FACTOR = 1.001
@@ -64,18 +61,12 @@ FURTHER_CLAIMS = (further_control_claims, lacking_corner_claims)
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
-    asked = [kind for kind in KINDS if _limits_something(_part_of(problem, kind.key))]
+    asked = []
+    for kind in KINDS:
+        field = getattr(problem.limits, kind.key, getattr(problem, kind.key, True))  # True if neither has it
+        if np.isfinite(field).any() if isinstance(field, np.ndarray) else field:
+            asked.append(kind)
     return tuple(limit for kind in asked for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
-
-
-def _part_of(problem: Problem, key: str) -> Any:
-    """Return the field of a problem's limits, or of the problem, with this name; True if neither has one."""
-    return getattr(problem.limits, key, getattr(problem, key, True))
-
-
-def _limits_something(field: Any) -> bool:
-    """True if a field has an entry that is not infinite."""
-    return bool(np.isfinite(field).any()) if isinstance(field, np.ndarray) else bool(field)
 
 
 def structure_of(problem: Problem) -> tuple:
@@ -198,16 +189,11 @@ def violation(kind: type[Limit], problem: Problem, motion: Trajectory, factor: f
     except AssemblyError:
         return None
     if np.isfinite(factor):
-        bounds = _relaxed_bounds(kind, problem, motion, factor)
+        relaxed = kind.relaxed(problem, factor)
+        samples, every = samples_of(relaxed, motion), zip(kind.of(problem), kind.of(relaxed), strict=True)
+        bounds = {limit: wider.measured(samples).bounds for limit, wider in every}
         over = [within for margin in over if not (within := clipped(margin, bounds[margin.of])).kept]
     return max(over, key=lambda m: m.overrun.max(), default=None)
-
-
-def _relaxed_bounds(kind: type[Limit], problem: Problem, motion: Trajectory, factor: float) -> dict[Limit, Any]:
-    """Return the bounds [low, high] of a problem's limits of a kind, relaxed by a factor."""
-    relaxed = kind.relaxed(problem, factor)
-    samples, every = samples_of(relaxed, motion), zip(kind.of(problem), kind.of(relaxed), strict=True)
-    return {limit: wider.measured(samples).bounds for limit, wider in every}
 
 
 def tightened_in(problem: Problem, margin: Margin, factor: float, least: float) -> Problem:

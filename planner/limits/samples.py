@@ -170,7 +170,9 @@ class Samples(Poses):
     @cached_property
     def at_dead_centre(self) -> np.ndarray:
         """True (n,) where the actuators are at a dead centre."""
-        near = self.leverage.transmission(_distinct(self.demanded[1])) < self.leverage.least
+        maps = self.demanded[1]
+        distinct = maps[:1] if np.all(maps == maps[:1]) else maps  # motors on the coordinates have the same everywhere
+        near = self.leverage.transmission(distinct) < self.leverage.least
         return np.broadcast_to(near, len(self.time))
 
     @cached_property
@@ -251,11 +253,6 @@ def samples_for_claims(problem: Problem, trajectory: Trajectory) -> Samples:
     except AssemblyError:
         start = {"points": np.zeros(1), "time": trajectory.breaks_s[:1], "q": trajectory.start_pose[None]}
         return Samples(problem=problem, trajectory=trajectory, **start)
-
-
-def _distinct(maps: np.ndarray) -> np.ndarray:
-    """Return maps (n, n_s, n_u), or one (1, n_s, n_u) if all are the same, as those of motors on the coordinates."""
-    return maps[:1] if np.all(maps == maps[:1]) else maps
 
 
 def sample_points(n_nodes: int) -> np.ndarray:

@@ -41,7 +41,9 @@ def contracted(boxes: Sequence[LinearBox], n_s: int) -> tuple[np.ndarray, float]
     Phi propagates d and D W of the earlier boxes to each box. The polynomial of d is integrated with its sign, because
     its mean over an interval of collocation is zero. The remainders, the plan's jumps and D W enter by absolute value.
     """
-    n, unit = 2 * n_s, _rate_unit(boxes, n_s)
+    # A rate [1/s] that scales velocities to the size of positions: the root of the largest |da/ds|.
+    largest = max((abs(entry[0]) for box in boxes for row in box.slopes for entry in row[:n_s]), default=0.0)
+    n, unit = 2 * n_s, arb(max(largest, 1.0)).sqrt().mid()
     scale = [arb(1)] * n_s + [1 / unit] * n_s  # of (s, s' / unit)
     eye, signed = arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)]), arb_mat(n, 1)
     phi: arb_mat | None = None  # Phi(t, t_j) side by side for the ends t_j of earlier boxes
@@ -72,12 +74,6 @@ def contracted(boxes: Sequence[LinearBox], n_s: int) -> tuple[np.ndarray, float]
         phi, signed = eye if phi is None else _beside(step * phi, eye), step * signed + added
         sources += [[own[i, 0], more[i, 0]] for i in range(n)]
     return bounds, above(contraction)
-
-
-def _rate_unit(boxes: Sequence[LinearBox], n_s: int) -> arb:
-    """Return a rate [1/s] that scales velocities to the size of positions: the root of the largest |da/ds|."""
-    largest = max((abs(entry[0]) for box in boxes for row in box.slopes for entry in row[:n_s]), default=0.0)
-    return arb(max(largest, 1.0)).sqrt().mid()
 
 
 def _absolute(matrix: arb_mat) -> arb_mat:

@@ -27,7 +27,12 @@ def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
     box, slack = constant_term(time), _ROUNDING_SHARE * curve.period_s
     low, high, middle = float(box.lower()) + slack, float(box.upper()) - slack, float(box.mid())
     pieces = list(_pieces(curve, low, high) if low < high else _pieces(curve, middle, middle))
-    values = [_along(curve, k, column, time - begin) for k, begin in pieces]
+    values: list[Ball] = []
+    for k, begin in pieces:
+        value: Ball = 0 * time
+        for coefficient in curve.coefficients[:, k, column]:
+            value = value * (time - begin) + float(coefficient)
+        values.append(value)
     # Rounding may exceed a piece's end. There its polynomial leaves the curve at most by the difference of two slopes.
     last, begin = pieces[-1]
     end = begin - arb(float(curve.knots_s[last])) + arb(float(curve.knots_s[last + 1]))
@@ -57,11 +62,3 @@ def _pieces(curve: Spline, low: float, high: float) -> Iterator[tuple[int, arb]]
             yield k, arb(float(knots[k])) + period * arb(T)
         if first > len(knots) - 2 and not curve.periodic:  # at its end
             yield len(knots) - 2, arb(float(knots[-2]))
-
-
-def _along(curve: Spline, k: int, column: int, after: Ball) -> Ball:
-    """Return the value of a piece's polynomial at times [s] since the piece begins."""
-    value: Ball = 0 * after
-    for coefficient in curve.coefficients[:, k, column]:
-        value = value * after + float(coefficient)
-    return value

@@ -55,7 +55,9 @@ def solve_enclosed(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> 
         for row in left:
             if row != pivot:
                 factor = rows[row].pop(column) / rows[pivot][column]
-                _subtract(rows[row], factor, rows[pivot], column)
+                for k, entry in rows[pivot].items():
+                    if k > column:
+                        rows[row][k] = rows[row][k] - factor * entry if k in rows[row] else -(factor * entry)
                 right[row] = [_less(b, factor, top) for b, top in zip(right[row], right[pivot], strict=True)]
     solutions: list[list[Ball]] = [[arb(0)] * n for _ in columns]
     for column in reversed(range(n)):
@@ -67,13 +69,6 @@ def solve_enclosed(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> 
                     value = _less(value, entry, found[other])
             found[column] = arb(0) if value is None else value / rows[pivot][column]
     return solutions
-
-
-def _subtract(row: dict[int, Ball], factor: Ball, of: dict[int, Ball], after: int) -> None:
-    """Subtract a multiple of a row from another row, in the columns after a given one."""
-    for column, entry in of.items():
-        if column > after:
-            row[column] = row[column] - factor * entry if column in row else -(factor * entry)
 
 
 def _less(value: Ball | None, factor: Ball, other: Ball | None) -> Ball | None:

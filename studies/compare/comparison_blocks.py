@@ -189,7 +189,7 @@ def _plots(
     lines = [
         Line(
             name=name,
-            values=_padded(column, len(time)),
+            values=np.pad(column, (0, len(time) - len(column)), constant_values=np.nan),  # NaN after its end
             unit=unit,
             colour=_colour(runs, name),
             look="line",
@@ -199,11 +199,6 @@ def _plots(
         for k, (name, column) in enumerate(values.items())
     ]
     return plots(title, what, TIME, time, [*lines, *extra], group=f"time:{comparison.plan.problem.name}", log=log)
-
-
-def _padded(values: np.ndarray, n: int) -> np.ndarray:
-    """Return values (m,) as (n,), NaN after the end of a run."""
-    return np.concatenate([values, np.full(n - len(values), np.nan)])
 
 
 def _colour(runs: Mapping[str, Rollout], name: str) -> int:

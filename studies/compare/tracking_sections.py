@@ -46,7 +46,11 @@ def _animation(comparison: Comparison) -> Block:
     ghosts = {}
     for k, (_, runs) in enumerate(cases):
         for name, run in runs.items():
-            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _run(run, frames)
+            seen = np.flatnonzero(np.isfinite(run.pose_rad).all(axis=1))
+            last = int(seen[-1]) if len(seen) else 0  # a diverged run keeps its last finite pose, with zero effort
+            at, ran = np.minimum(frames, last), (frames <= last)[:, None]
+            drawn = Run(poses=np.nan_to_num(run.pose_rad[at]), effort=np.where(ran, run.applied[at], 0.0))
+            ghosts[name if k == 0 else f"{name}, with the mismatch"] = drawn
     return animation(
         mechanism,
         f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
@@ -58,14 +62,6 @@ def _animation(comparison: Comparison) -> Block:
         ghosts=ghosts,
         sites=plan.problem.sites,
     )
-
-
-def _run(run: Rollout, frames: np.ndarray) -> Run:
-    """Return a run at control instants; a diverged run keeps its last finite pose, with zero effort."""
-    seen = np.flatnonzero(np.isfinite(run.pose_rad).all(axis=1))
-    last = int(seen[-1]) if len(seen) else 0
-    at = np.minimum(frames, last)
-    return Run(poses=np.nan_to_num(run.pose_rad[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
 
 
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:

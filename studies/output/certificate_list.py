@@ -9,7 +9,6 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
@@ -28,22 +27,21 @@ def certificate_list(plan: Plan, group: str = "") -> Checklist:
     certificate = plan.certificate
     assert certificate is not None  # of a motion
     items = [
-        *_margins(certificate),
+        *(
+            _item(
+                (margin.title if margin.of.facts.bound is None else margin.bound).removeprefix("the ").rstrip(","),
+                margin.kept,
+                margin.value if abs(margin.value) > LEAST_SHOWN else 0.0,  # zero for rounding errors
+                margin.limit,
+                margin.unit,
+                margin.time_s,
+            )
+            for margin in certificate.margins
+        ),
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
     ]
     return Checklist(title="Checks between the nodes", group=group, items=items)
-
-
-def _margins(certificate: Certificate) -> list[Item]:
-    return [
-        _item(_label(margin), margin.kept, _seen(margin.value), margin.limit, margin.unit, margin.time_s)
-        for margin in certificate.margins
-    ]
-
-
-def _label(margin: Margin) -> str:
-    return (margin.title if margin.of.facts.bound is None else margin.bound).removeprefix("the ").rstrip(",")
 
 
 def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
@@ -112,11 +110,6 @@ def _digits(value: float | None) -> float | None:
     return significant(0.0 if value is not None and abs(value) < 1e-14 else value, 2)
 
 
-def _seen(value: float) -> float:
-    """Return a value; zero for rounding errors."""
-    return value if abs(value) > LEAST_SHOWN else 0.0
-
-
 def _item(label: str, passed: bool | None, worst: float, limit: float | None, unit: str, at: float | None) -> Item:
     return Item(
         label=label,
@@ -124,9 +117,5 @@ def _item(label: str, passed: bool | None, worst: float, limit: float | None, un
         worst=significant(worst, 5),
         limit=significant(limit, 6),
         unit=unit,
-        instant_s=None if at is None else _instant(at),
+        instant_s=None if at is None else float(f"{at:.7g}"),
     )
-
-
-def _instant(time: float) -> float:
-    return float(f"{time:.7g}")

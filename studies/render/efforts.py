@@ -57,7 +57,9 @@ def effort_shapes(
     shapes: tuple[RenderedShape, ...] = ()
     for kind, at, axis in effort_marks(model, data, actuator):
         if kind == "line":
-            shapes += _along_line(at, share, size)
+            thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
+            ends = itertools.pairwise(at)
+            shapes += [RenderedShape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in ends]
         else:
             shapes += (_arc if kind == "arc" else _straight)(at, axis, share, size, towards)
     return shapes
@@ -103,8 +105,3 @@ def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[
     base = size * min(_HEAD_RADIUS, max(_SHAFT_RADIUS, _HEAD_RADIUS * _MAX_HEAD_SHARE * long / (_HEAD_LENGTH * size)))
     thin = size * min(_SHAFT_RADIUS, 0.6 * base / size)
     return arrow(points, thin, load_colour(share), _HEAD_PARTS, base)
-
-
-def _along_line(points: np.ndarray, share: float, size: float) -> tuple[RenderedShape, ...]:
-    thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
-    return tuple(RenderedShape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in itertools.pairwise(points))

@@ -162,7 +162,7 @@ def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndar
     for pose in poses:
         place_bodies(model, data, mechanism.qpos_of(pose))
         points.append(corners(model, data, np.flatnonzero(shown & moves)))
-        points.append(_tendon_points(data))
+        points += [line for tendon in range(len(data.ten_length)) for line in tendon_lines(data, tendon)]
         for actuator, share in zip(mechanism.actuators, largest, strict=True):
             for signed in (share, -share):
                 for shape in effort_shapes(model, data, actuator, float(signed), size, towards):
@@ -181,9 +181,3 @@ def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndar
 def bounded_geoms(model: mujoco.MjModel) -> np.ndarray:
     """Return the mask (n_geom,) of bounded geoms, which excludes planes and height fields."""
     return ~np.isin(model.geom_type, (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)))
-
-
-def _tendon_points(data: mujoco.MjData) -> np.ndarray:
-    """Return the points (n, 3) [m] of the tendons' paths."""
-    lines = [line for tendon in range(len(data.ten_length)) for line in tendon_lines(data, tendon)]
-    return np.vstack([np.zeros((0, 3)), *lines])

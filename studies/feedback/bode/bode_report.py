@@ -271,7 +271,9 @@ def _margins(study: BodeStudy) -> Table:
     heads += ["gain reduction margin [dB]"] if lowered else []
     differs = any(entry.stable and (entry.machine_spectral_radius or 0.0) >= 1 for entry in study.points)
     heads += ["largest pole of the machine"] if differs else []
-    pulled = any(_is_pulled_away(entry) for entry in study.points)
+    # A small step settles farther from its reference than `tune` allows; the record always has the response.
+    at_rest = [entry.response_at_rest for entry in study.points if entry.response_at_rest is not None]
+    pulled = any(abs(1.0 - response) > 1.0 - LEAST_RESPONSE_AT_REST for response in at_rest)
     heads += ["response at rest"] if pulled else []
     rows = []
     for entry in study.points:
@@ -303,11 +305,6 @@ def _less_gain_is_nearer(m: Margins) -> bool:
     """Tell if a lower gain loses stability before a higher gain does. The record always has the margin."""
     less, more = m.gain_reduction_margin_db, m.gain_margin_db
     return less is not None and (more is None or less < more)
-
-
-def _is_pulled_away(m: Margins) -> bool:
-    """Tell if a small step settles farther from its reference than `tune` allows. The record always has the response."""
-    return m.response_at_rest is not None and abs(1.0 - m.response_at_rest) > 1.0 - LEAST_RESPONSE_AT_REST
 
 
 _LEAST_MARGINS = (

@@ -162,7 +162,11 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     delay = law.timing.delay_steps / law.timing.substeps
     longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
     say("gains on both sides of the stability boundary at every pose, in MuJoCo")
-    settles = _settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit)
+    tried = np.where(np.isfinite(critical[:, 1]), critical[:, 1], 1.0)[:, None] * (
+        1.0 + TRIAL_GAIN_SHARE * np.array([-1, 1])
+    )
+    loops = [pd_loop(point, own_kp, x, law.timing) for point, pair in zip(points, tried, strict=True) for x in pair]
+    settles = settle_trials(loops, law.effort_limit).reshape(-1, 2)
     joint = mechanism.independent_joints[0]
     ends = zip(points, np.nan_to_num(critical, nan=0.0, posinf=np.inf).tolist(), settles.tolist(), strict=True)
     return MapStudy(
@@ -185,10 +189,3 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         settles_near_border=settles,
         longest_at=where,
     )
-
-
-def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
-    """Return whether MuJoCo settles (n, 2) just below and just above the critical kd (n,); kd = 1 if there is none."""
-    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE])
-    loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
-    return settle_trials(loops, effort_limit).reshape(-1, 2)

@@ -100,7 +100,11 @@ def plant_study(
     ins, outs = _ports(mechanism, efforts, outputs)
     chosen, points = law_at(mechanism, np.atleast_2d(positions), law, settings, effort_limit, frequency_hz)
     points = label_differences(points)
-    transfers = [_transfers(point, ins, outs, say) for point in points]
+    transfers: list[dict[str, TransferFunction]] = []  # by `pair_name`, at each point
+    for point in points:
+        say(f"predicted at {point.name}")
+        ways = ((pair_name(one, out), one.push(point), out.slopes(point.pose)) for one, out in itertools.product(ins, outs))
+        transfers.append({name: plant_transfer(point, push, slopes) for name, push, slopes in ways})
     grid = _curve_frequencies([one for found in transfers for one in found.values()], chosen.timing.period_s)
     held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
     pairs = contact_pairs(mechanism, np.array([point.pose for point in points]))
@@ -139,15 +143,6 @@ def plant_study(
         efforts=ins,
         positions=outs,
     )
-
-
-def _transfers(
-    point: OperatingPoint, ins: Sequence[PlantInput], outs: Sequence[PlantOutput], say: Callable[[str], None]
-) -> dict[str, TransferFunction]:
-    """Return the predicted transfer functions at a point, by `pair_name`."""
-    say(f"predicted at {point.name}")
-    pairs = itertools.product(ins, outs)
-    return {pair_name(one, out): plant_transfer(point, one.push(point), out.slopes(point.pose)) for one, out in pairs}
 
 
 def _measurement(points: Sequence[PlantPoint], taken: Measurement | None) -> dict[str, Any] | None:

@@ -329,23 +329,19 @@ def _settings(
 def _with_weights(points, settings: Tracking, channel: int, inertia: float, omega: float, damping: float) -> Tracking:
     """Return settings with the LQR weights of a single joint that give a natural frequency [rad/s] and a damping ratio.
 
-    LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2, with the weights s_w and v_w.
+    LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2, with the weights s_w and v_w. The effort
+    u of unit cost is the actuator's limit through the transmission.
     """
     kp, kd, joint = inertia * omega**2, 2 * damping * inertia * omega, points[0].mechanism.independent_joints[channel]
-    limit = _effort_weight(points, channel)
+    actuator = points[0].mechanism.actuators[0]
+    limit = max(abs(actuator.lower), abs(actuator.upper))
+    limit = limit if np.isfinite(limit) else max(1.0, max(float(np.abs(point.hold[0])) for point in points))
+    limit /= abs(float(effort_map(points[0])[0, channel]))
     # A velocity weight increases LQR's kd above sqrt(2 J kp). If a smaller kd is required, the result is half a percent
     # above it.
     extra = max(kd**2 - 2 * inertia * kp, _LEAST_EXTRA_DAMPING * 2 * inertia * kp)
     position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
     return settings.replace(**{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})
-
-
-def _effort_weight(points: Sequence[OperatingPoint], channel: int) -> float:
-    """Return the joint effort with unit cost in LQR: the actuator's limit through the transmission."""
-    actuator = points[0].mechanism.actuators[0]
-    limit = max(abs(actuator.lower), abs(actuator.upper))
-    limit = limit if np.isfinite(limit) else max(1.0, max(float(np.abs(point.hold[0])) for point in points))
-    return limit / abs(float(effort_map(points[0])[0, channel]))
 
 
 def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLaw], wanted: Requirements) -> np.ndarray:

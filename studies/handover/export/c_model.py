@@ -104,8 +104,11 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
     """Return the header: conventions, units, and the declaration of every function; `about` are additional lines."""
     mechanism, upper = code.mechanism, code.prefix.upper()
     joints = [f"  q[{k}] {joint.name} [{joint.si_units[0]}]" for k, joint in enumerate(mechanism.joints)]
+    spins = dict.fromkeys(
+        np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)), ", spins freely: any constant works"
+    )
     joints += [
-        f"  s[{k}] {joint.name} [{joint.si_units[0]}], effort [{joint.si_units[1]}]{_passive(mechanism, k)}"
+        f"  s[{k}] {joint.name} [{joint.si_units[0]}], effort [{joint.si_units[1]}]{spins.get(k, '')}"
         for k, joint in enumerate(mechanism.independent_joints)
     ]
     joints += [f"  u[{k}] {motor.name} [{motor.unit}]" for k, motor in enumerate(mechanism.actuators)]
@@ -265,7 +268,3 @@ def _close_text(code: ModelCode) -> str:
   return 0;
 }}
 """
-
-
-def _passive(mechanism: Mechanism, k: int) -> str:
-    return ", spins freely: any constant works" if mechanism.independent[k] in mechanism.passive_dofs else ""

@@ -82,7 +82,9 @@ def _site_map(name: str, nodes: SiteStatics, home: SiteStatics, path: KinematicL
     moving = sizes > _STILL_SHARE * max(sizes.max(), np.finfo(float).tiny)
     n = int(moving.sum())
     whole = ellipse and n == len(actuators) == path.mechanism.dof
-    directions = _signed(U[:, :n].T)
+    directions = U[:, :n].T  # signed so that the largest component is positive
+    largest = np.take_along_axis(directions, np.abs(directions).argmax(axis=1)[:, None], axis=1)
+    directions = directions * np.where(largest < 0, -1.0, 1.0)
     held = vertices = None
     if whole:
         from_effort = directions.T @ np.linalg.inv((directions @ rates).T)  # (3, n_u)
@@ -102,12 +104,6 @@ def _site_map(name: str, nodes: SiteStatics, home: SiteStatics, path: KinematicL
         least_limit=float(np.abs(path.limit).min()),
         columns=_columns(name, nodes, known),
     )
-
-
-def _signed(directions: np.ndarray) -> np.ndarray:
-    """Return unit vectors (p, 3) whose largest component is positive."""
-    largest = np.abs(directions).argmax(axis=1)[:, None]
-    return directions * np.where(np.take_along_axis(directions, largest, axis=1) < 0, -1.0, 1.0)
 
 
 def _hull(points: np.ndarray) -> np.ndarray:

@@ -90,30 +90,21 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path) -> list[Plan
         if [one.name for one in answers] != [case.name for case in cases]:
             raise ValueError("its cases are not those of the batch")
         for answer in answers:
-            _unpack(answer, place / answer.name)
+            if others := sorted(answer.files.keys() - set(PLAN_FILES)):
+                raise ValueError(f"'{answer.name}/{others[0][:100]}' is not a file of its plans")
+            folder = place / answer.name
+            for name, content in answer.files.items():
+                folder.mkdir(exist_ok=True)
+                (folder / name).write_bytes(content)
+            if answer.failure is None:
+                read_plan_record(folder)
+                read_trajectory(folder / "trajectory.npz")
     except (msgspec.MsgspecError, ValueError, PlanFileError) as error:
         why = one_line(error)
         raise PlanFileError(
             f"'{path}' is damaged: {why}; remove it and run the same command again to plan its cases"
         ) from error
     return answers
-
-
-def _unpack(answer: Planned, folder: Path) -> None:
-    """Write the files of a case's plan into its folder, and check that the plan can be read.
-
-    Raises:
-        ValueError: if a file is not that of a plan.
-        PlanFileError: if a file is damaged.
-    """
-    if others := sorted(answer.files.keys() - set(PLAN_FILES)):
-        raise ValueError(f"'{answer.name}/{others[0][:100]}' is not a file of its plans")
-    for name, content in answer.files.items():
-        folder.mkdir(exist_ok=True)
-        (folder / name).write_bytes(content)
-    if answer.failure is None:
-        read_plan_record(folder)
-        read_trajectory(folder / "trajectory.npz")
 
 
 RECORD = "batch.json"

@@ -95,9 +95,13 @@ def sized_motor(
     """Return a motor behind a gear at actuator `index` of a problem, with the plan of a motion that a rest follows."""
     given = with_motor(problem, index, motor, gear)
     plan, actuator = plan_motion(given, say), given.mechanism.actuators[index]
-    motion = plan.trajectory if plan.passed else _prescribed(given)
+    motion = plan.trajectory if plan.passed else None
+    if motion is None and given.motion.kind == "track" and given.motion.duration_s is not None:
+        motion = prescribe(given, given.start_pose())  # regardless of limits
     loads = None if motion is None else _loads(given, index, motor, motion, rest_s)
-    shares = _needed_share(plan) if loads is None else loads.shares
+    # Without a motion, the least factor on the effort limits with which there is one, if the planner knows it.
+    factor = plan.verdict.needed_factor if plan.status == "infeasible" else None
+    shares = loads.shares if loads is not None else {} if factor is None else {PEAK: factor}
     tightest = max(shares, key=lambda name: shares[name], default="")
     reason = "" if plan.passed else plan.message
     if plan.passed and loads is not None and (loads.rms_share or 0.0) > 1.0 + _RMS_ROUNDING:
@@ -137,18 +141,6 @@ def sized_motor(
         line=None if line is None else (gear * line[0], factor * line[1] / gear),
     )
     return found, plan
-
-
-def _prescribed(problem: Problem) -> Trajectory | None:
-    """Return the motion of a problem that prescribes it in a given duration, regardless of limits; else None."""
-    given = problem.motion.kind == "track" and problem.motion.duration_s is not None
-    return prescribe(problem, problem.start_pose()) if given else None
-
-
-def _needed_share(plan: Plan) -> dict[str, float]:
-    """Return the least factor on the effort limits with which a motion exists, if the planner knows it."""
-    factor = plan.verdict.needed_factor if plan.status == "infeasible" else None
-    return {} if factor is None else {PEAK: factor}
 
 
 def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory, rest_s: float) -> Loads:

@@ -97,14 +97,9 @@ def answer(found: Sizing) -> str:
         if found.free_duration
         else f"smallest: {best.title} ({size}), {left}"
     )
-    fast = "" if best.speed_up is None else f", up to {_floor(best.speed_up)} times as fast"
+    fast = "" if best.speed_up is None else f", up to {np.floor(1000 * best.speed_up) / 1000:g} times as fast"  # feasible
     counted = f"{good} of {n} motors with gears {'suffices' if good == 1 else 'suffice'}"
     return f"{counted} for {found.actuator}; {which}{fast}"
-
-
-def _floor(factor: float) -> str:
-    """Return a factor rounded down to three decimals, so that it is feasible."""
-    return f"{np.floor(1000 * factor) / 1000:g}"
 
 
 def _table(found: Sizing) -> Table:

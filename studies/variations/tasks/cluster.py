@@ -53,7 +53,12 @@ def cluster(address: str) -> Engine:
             workers = client.scheduler_info(n_workers=-1)["workers"]
             if not workers:
                 say(f"the cluster at {address} has no workers yet: waiting for one")
-            _refuse_unfit(client, address)
+            try:
+                client.run(versions)
+            except Exception as error:  # a worker without linkplan can raise any error
+                raise LinkplanError(
+                    f"workers at {address} cannot run linkplan: {type(error).__name__}: {one_line(error)}"
+                ) from error
             executor = client.get_executor(pure=False)
             stack.callback(executor.shutdown, wait=False)
             threads = min((worker["nthreads"] for worker in workers.values()), default=1)
@@ -73,16 +78,6 @@ def _client(distributed, address: str):
     # loop while that client starts, both would wait for the same lock.
     gc.collect()
     raise LinkplanError(f"no Dask scheduler answers at '{address}' ({reason}); an address is like tcp://head:8786")
-
-
-def _refuse_unfit(client, address: str) -> None:
-    """Refuse a cluster whose workers lack linkplan."""
-    try:
-        client.run(versions)
-    except Exception as error:  # a worker without linkplan can raise any error
-        raise LinkplanError(
-            f"workers at {address} cannot run linkplan: {type(error).__name__}: {one_line(error)}"
-        ) from error
 
 
 @contextlib.contextmanager
