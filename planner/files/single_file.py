@@ -89,8 +89,10 @@ def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = 
         if place.is_dir():
             raise PlanFileError(f"'{target}' is a folder; the result must be a file")
         _check_folder(target, place.parent)
-        if os.path.lexists(place) and not _is_ours(place, mark):
-            raise PlanFileError(f"'{target}' exists and was not written by linkplan; move it or name another file")
+        if os.path.lexists(place):
+            begin = read_head(place, f"'{place}'", _MARKED_BYTES, PlanFileError)
+            if begin and mark.encode() not in begin:
+                raise PlanFileError(f"'{target}' exists and was not written by linkplan; move it or name another file")
 
 
 def write_file_whole(
@@ -117,9 +119,3 @@ def _check_folder(path: Path, folder: Path) -> None:
         raise PlanFileError(f"'{path}' cannot be written: there is no folder '{path.parent}'")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PlanFileError(f"'{path}' cannot be written: no permission to write into '{path.parent}'")
-
-
-def _is_ours(path: Path, mark: str) -> bool:
-    """Check that a file carries linkplan's mark, or is empty, so that nothing is lost."""
-    begin = read_head(path, f"'{path}'", _MARKED_BYTES, PlanFileError)
-    return not begin or mark.encode() in begin

@@ -156,7 +156,9 @@ def set_key(tables: Tables, key: str, value: object) -> None:
     for depth, part in enumerate(path[:-1]):
         child = node.setdefault(part, {})
         if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
-            child = node[part] = _payload_table(child)
+            from linkplan.models.payload import BUILT_IN  # imports the simulator, which a list of names does not need
+
+            child = node[part] = BUILT_IN[child].table()
         if depth == 1 and path[0] == "parameters" and isinstance(child, int | float):
             child = node[part] = {"value": child}
         if not isinstance(child, dict):
@@ -166,13 +168,6 @@ def set_key(tables: Tables, key: str, value: object) -> None:
         node.pop(path[-1], None)
     else:
         node[path[-1]] = value
-
-
-def _payload_table(name: str) -> dict:
-    """Return a built-in payload as a table of a problem file."""
-    from linkplan.models.payload import BUILT_IN as BUILT  # imports the simulator, which is not needed for a list of names
-
-    return BUILT[name].table()
 
 
 def parse_value(text: str, where: str) -> object:

@@ -141,7 +141,9 @@ class _Way:
             begin.append(ds.sum() * (np.ones(len(at) - 1) if self.repeats else 4 * np.sqrt(share * (1 - share))))
             parts.append((at, way))
         rest = self.rest or 0.0
-        bounds, first = self._bounds(reserve), np.concatenate(begin)
+        limit = np.sort([[self.plane.effort[way][0, 0] for way in (-1, 1)]])
+        bounds = (0.0 if self.rest is not None else self.asked), self.asked, within_reserve(limit, reserve)[0]
+        first = np.concatenate(begin)
         solved = _solved(ca.vertcat(*unknowns), cost - rest * time, time, ca.vertcat(*efforts), first, bounds)
         if solved is None:
             return None
@@ -152,10 +154,6 @@ class _Way:
     def _speeds(self, free: Any) -> Any:
         """Return the speeds (n,) at the cell ends of a leg from the unknown ones."""
         return ca.vertcat(free, free[0]) if self.repeats else ca.vertcat(0, free, 0)
-
-    def _bounds(self, reserve: float) -> tuple[float, float, np.ndarray]:
-        limit = np.sort([[self.plane.effort[way][0, 0] for way in (-1, 1)]])
-        return (0.0 if self.rest is not None else self.asked), self.asked, within_reserve(limit, reserve)[0]
 
     def _efforts(self, at: np.ndarray, way: int, speed: ca.SX, ds: np.ndarray) -> ca.SX:
         """Return the efforts (n - 1,) of the cells between cell ends (n,) from the speeds (n,) at these ends."""

@@ -207,7 +207,11 @@ def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, *, share: float
     gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
     works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
     rub = sliding_friction(problem.mechanism, poses)
-    fastest = _top(problem, poses[::2])
+    # The largest w = v^2 / 2 that satisfies all limits on speeds.
+    ratios, bounds = speed_ratios(problem, poses[::2])
+    ratio, speed = np.abs(ratios), np.abs(bounds).min(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fastest = 0.5 * np.where(ratio > 0, speed / ratio, np.inf).min(axis=1, initial=np.inf) ** 2
     return PhasePlane(
         s=s,
         cells=np.diff(s),
@@ -228,15 +232,6 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
     damped = np.minimum(both + rub, 0.0)
     # A difference of two frictions below this share of them is rounding, or the smooth transition at low speeds.
     return np.where(damped < -1e-6 * rub, damped, 0.0)
-
-
-def _top(problem: Problem, poses: np.ndarray) -> np.ndarray:
-    """Return the largest w = v^2 / 2 (n,) at poses (n, n_q) that satisfies all limits on speeds."""
-    ratios, bounds = speed_ratios(problem, poses)
-    ratio, speed = np.abs(ratios), np.abs(bounds).min(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1, initial=np.inf)
-    return 0.5 * fastest**2
 
 
 def speed_ratios(problem: Problem, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -125,15 +125,12 @@ def separate_names(figure: Figure) -> None:
         for place in [name.get_position(), *_AROUND_PIN]:
             name.set_position(place)
             box = name.get_window_extent(renderer).padded(1.5)
-            covered = sum(_area(Bbox.intersection(box, other)) for other in others)
+            shared = [part for other in others if (part := Bbox.intersection(box, other)) is not None]
+            covered = sum(part.width * part.height for part in shared)
             if covered < best:
                 best, chosen, own = covered, place, box
         name.set_position(chosen)
         others.append(own)
-
-
-def _area(box: Bbox | None) -> float:
-    return 0.0 if box is None else box.width * box.height
 
 
 def _few_ticks(axes) -> None:

@@ -4,7 +4,7 @@ Figures are printed with their known digits.
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -122,20 +122,14 @@ def plan_blocks(plan: Plan) -> list[Block]:
             f" integration was restarted {certificate.integration_restarts} time(s)"
         )
         blocks.append(Text(text=text))
-    table = replace(checks(certificate_list(plan)), brief=[])
+    table, demands = replace(checks(certificate_list(plan)), brief=[]), []
     proof = [
         replace(block, brief=[]) if isinstance(block, Table) and block.title not in _OPEN_TITLES else block
         for block in proof_blocks(plan.proof, names)
     ]
-    return [*blocks, _verdict(plan, certificate), table, *_demands(plan), *proof, *notes]
-
-
-def _demands(plan: Plan) -> list[Block]:
-    """Return the table of the motion's demands on each actuator; none if the loops are open (see the certificate)."""
-    try:
-        return [demand_table(plan)]
-    except AssemblyError:
-        return []
+    with contextlib.suppress(AssemblyError):  # the loops are open: see the certificate
+        demands = [demand_table(plan)]
+    return [*blocks, _verdict(plan, certificate), table, *demands, *proof, *notes]
 
 
 def demand_table(plan: Plan) -> Table:
@@ -275,16 +269,13 @@ def solves(plan: Plan) -> Table:
 
 def least_margin(plan: Plan) -> tuple[str, str]:
     """Return the margin that is the smallest share of its limit, except efforts, with its place and instant."""
-    share, words, at = min(_margins(plan), default=(None, "no other limit", ""))
+    others = (
+        (one.share, f"{one.left_shown:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s")
+        for one in plan.certificate.margins
+        if not one.of.facts.of_planned_effort
+    )
+    share, words, at = min(others, default=(None, "no other limit", ""))
     return "least margin besides efforts", words + ("" if share is None else f" ({100 * share:.3g} %)") + at
-
-
-def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
-    """Yield every margin except those of efforts as a share of its limit or range, its text, and the text on its instant."""
-    for one in plan.certificate.margins:
-        if one.of.facts.of_planned_effort:
-            continue
-        yield one.share, f"{one.left_shown:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 
 def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:

@@ -39,7 +39,8 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
         animated: whether the motion is animated; False if a comparison animates it.
         verdict: whether the first section has the plan's name and verdict; False if the page's header shows them.
     """
-    title, first, about = f"Plan: {plan.problem.name}" if verdict else "Overview", _verdict(plan, said=verdict), _about(plan)
+    title, said, about = f"Plan: {plan.problem.name}" if verdict else "Overview", verdict_sentence(plan), _about(plan)
+    first = [Text(text=said[:1].upper() + said[1:], tone="good" if plan.passed else "bad")] if verdict else []
     if plan.trajectory is None or plan.certificate is None:
         return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)])]
     try:
@@ -53,25 +54,22 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     robust = robust_section(plan, motion, group, period)
-    notes = _notes(plan)
+    notes, failures = _notes(plan), plan.certificate.failures
     few = in_brief(notes)
+    passes = Text(text=f"The certificate does NOT pass: {'; '.join(failures)}.", tone="bad")
+    passes = Text(text="The certificate passes.", tone="good") if plan.certificate.passed else passes
     return [
         Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *few]),
         Section(title="Motion and effort", blocks=over_time, depth=2),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
         *([] if robust is None else [robust]),
         Section(title="Actuators", blocks=demand_blocks(plan, group), depth=2),
-        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, group)], depth=2),
+        Section(title="Certificate", blocks=[passes, certificate_list(plan, group)], depth=2),
         *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
         *([Section(title="Sensitivities", blocks=slopes, depth=2)] if (slopes := sensitivity_blocks(plan)) else []),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
         Section(title="Problem", blocks=[about, *(notes if len(few) < len(notes) else []), *_problem(plan)], depth=2),
     ]
-
-
-def _verdict(plan: Plan, *, said: bool) -> list[Block]:
-    message = verdict_sentence(plan)
-    return [Text(text=message[:1].upper() + message[1:], tone="good" if plan.passed else "bad")] if said else []
 
 
 def _notes(plan: Plan) -> list[Text]:
@@ -80,16 +78,16 @@ def _notes(plan: Plan) -> list[Text]:
 
 def _about(plan: Plan) -> Facts:
     """Return the facts of a plan's problem, and of its motion if it has one."""
-    problem = plan.problem
-    rows = [("mechanism", _mechanism_text(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
+    problem, mechanism = plan.problem, plan.problem.mechanism
+    payload = "" if mechanism.payload is None else ", with a payload"
+    joints = f"{counted(mechanism.dof, 'degree')} of freedom, {counted(mechanism.n_q, 'joint')}{payload}"
+    rows = [
+        ("mechanism", f"{mechanism.name}, {joints}"),
+        ("motion", problem.motion.kind),
+        ("objective", problem.objective.name),
+    ]
     known = facts(plan) if plan.trajectory is not None and plan.certificate is not None else []
     return Facts(rows=[*rows, *known])
-
-
-def _mechanism_text(plan: Plan) -> str:
-    mechanism = plan.problem.mechanism
-    payload = "" if mechanism.payload is None else ", with a payload"
-    return f"{mechanism.name}, {counted(mechanism.dof, 'degree')} of freedom, {counted(mechanism.n_q, 'joint')}{payload}"
 
 
 def _animation(plan: Plan, group: str, period: float | None) -> Block:
@@ -111,13 +109,6 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
         sites=problem.sites,
         period=period,
     )
-
-
-def _passed(plan: Plan) -> Block:
-    certificate = plan.certificate
-    if certificate.passed:
-        return Text(text="The certificate passes.", tone="good")
-    return Text(text=f"The certificate does NOT pass: {'; '.join(certificate.failures)}.", tone="bad")
 
 
 def _solves(plan: Plan) -> Block:

@@ -106,7 +106,11 @@ def bode_study(
     scans = tuple(_scans(positions, line, chosen, scanned, mechanism, say)) if scanned else ()
     if line is not None:
         positions = _with_worst(positions, scans)
-    loops, ideal = _predicted(mechanism, positions, chosen, say)
+    loops, ideal = [], []
+    for point in label_differences([operating_point(mechanism, position, effort_limit) for position in positions]):
+        say(f"predicted at {point.name}")
+        loops.append(chosen.loop(point))
+        ideal.append(chosen.loop(point, CONTINUOUS))
     pairs = contact_pairs(mechanism, np.array([loop.point.pose for loop in loops]))
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
@@ -279,18 +283,6 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
         of_several = f", least phase margin of these {counted} {least:.1f} deg ({where})"
         text += of_several if count > 1 else f", phase margin {least:.1f} deg"
     return text
-
-
-def _predicted(
-    mechanism: Mechanism, positions: np.ndarray, law: SampledLaw, say: Callable[[str], None]
-) -> tuple[list[FeedbackLoop], list[FeedbackLoop]]:
-    """Return the sampled and the continuous loops at positions (n, n_s)."""
-    loops, ideal = [], []
-    for point in label_differences([operating_point(mechanism, position, law.effort_limit) for position in positions]):
-        say(f"predicted at {point.name}")
-        loops.append(law.loop(point))
-        ideal.append(law.loop(point, CONTINUOUS))
-    return loops, ideal
 
 
 def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:

@@ -123,8 +123,11 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     t, n_s = reference.position_rad.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
     increments = np.diff(errors, axis=0, prepend=0.0)
-    for row, name in enumerate(SWITCHES, start=len(first)):
-        increments[row] = _mean_increment(name, acting, ran)
+    for row, name in enumerate(SWITCHES, start=len(first)):  # the mean over all orders of the acting causes
+        increments[row] = 0.0
+        for names in (names for names in ran if name in acting and name not in names):
+            orders = math.factorial(len(names)) * math.factorial(len(acting) - len(names) - 1)
+            increments[row] += orders / math.factorial(len(acting)) * (ran[names | {name}][0] - ran[names][0])
     return Ladder(tracker=law.name, errors=errors, increments=increments, failure=failure)
 
 
@@ -154,16 +157,6 @@ def _failures(runs: Sequence[tuple[str, "_Found"]], n: int) -> tuple[str | None,
             if failure[i] is None and reason is not None:
                 failure[i] = f"lost after {words.partition(':')[0]} was switched on: {reason}"
     return tuple(failure)
-
-
-def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str], "_Found"]) -> np.ndarray | float:
-    """Return a cause's increment (t, n or 1, n_s), the mean over all orders of the acting causes; 0 if it does not act."""
-    total: np.ndarray | float = 0.0
-    for names in ran:
-        if name in acting and name not in names:
-            orders = math.factorial(len(names)) * math.factorial(len(acting) - len(names) - 1)
-            total = total + orders / math.factorial(len(acting)) * (ran[names | {name}][0] - ran[names][0])
-    return total
 
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.

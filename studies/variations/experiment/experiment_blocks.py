@@ -9,7 +9,6 @@ import numpy as np
 from msgspec import field
 
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.output.document import (
     Axis,
@@ -126,7 +125,12 @@ def sensitivity(outcome: ExperimentOutcome) -> list[Block]:
 def summary(outcome: ExperimentOutcome) -> list[Block]:
     """Return what was simulated, each tracker's means, and the failures."""
     notes = [Text(text=note, tone="note") for note in outcome.notes]
-    return [_facts(outcome), *_tables(outcome), *_failures(outcome), *notes]
+    failures = [
+        Text(text=f"{tracker}: {count} of {outcome.samples} runs failed: {text}", tone="bad")
+        for tracker, one in outcome.trackers.items()
+        for text, count in one.failures.items()
+    ]
+    return [_facts(outcome), *_tables(outcome), *failures, *notes]
 
 
 def tube_text(experiment: Experiment) -> str:
@@ -184,15 +188,6 @@ def _tables(outcome: ExperimentOutcome) -> list[Table]:
         for tracker, one in outcome.trackers.items()
     ]
     return [first, table_of("Efforts, energy and closure, means", others, rows)]
-
-
-def _failures(outcome: ExperimentOutcome) -> list[Text]:
-    said = [
-        f"{tracker}: {count} of {outcome.samples} runs failed: {text}"
-        for tracker, one in outcome.trackers.items()
-        for text, count in one.failures.items()
-    ]
-    return [Text(text=text, tone="bad") for text in said]
 
 
 def pairs(outcome: ExperimentOutcome) -> list[Table]:
@@ -257,33 +252,23 @@ def experiment_sections(outcome: ExperimentOutcome) -> list[Section]:
     found += section("Distributions of the main figures", distributed(drawn))
     found += section("Distributions of the other figures", distributed(others), folded=True)
     found += section("Which imperfection matters most", sensitivity(outcome))
-    found += section("Worst cases", [worst(outcome), *_commands(outcome)])
-    return [*found, *section("Imperfections of the machines", [_imperfections(experiment)])]
-
-
-def _commands(outcome: ExperimentOutcome) -> list[Code]:
-    if outcome.again is None:
-        return []
-    commands = [outcome.again(name, sample) for name, one in outcome.trackers.items() for sample in one.worst]
-    return [Code(title="Commands that repeat these runs exactly, with their whole logs", text="\n".join(commands))]
-
-
-def _imperfections(experiment: Experiment) -> Table:
-    rows = [
-        [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]
-        for factor in experiment.section.factors
-    ]
+    cases: list[Block] = [worst(outcome)]
+    if outcome.again is not None:
+        commands = [outcome.again(name, sample) for name, one in outcome.trackers.items() for sample in one.worst]
+        cases.append(Code(title="Commands that repeat these runs exactly, with their whole logs", text="\n".join(commands)))
+    found += section("Worst cases", cases)
+    rows = []
+    for factor in experiment.section.factors:
+        first, second, unit = factor.spread.first, factor.spread.second, factor.quantity.unit
+        said = {
+            "uniform": f"even between {first:.4g} and {second:.4g}",
+            "normal": f"normal about {first:.4g}, standard deviation {second:.4g}",
+            "fixed": f"{first:.4g}",
+        }
+        rows.append([factor.label, said[factor.spread.kind], unit if unit != "1" else None])
     title = "Distributions of the imperfections; everything else is nominal"
-    return table_of(title, ["imperfection", "distribution", "unit"], rows)
-
-
-def _spread(factor: Factor) -> str:
-    spread = factor.spread
-    if spread.kind == "uniform":
-        return f"even between {spread.first:.4g} and {spread.second:.4g}"
-    if spread.kind == "normal":
-        return f"normal about {spread.first:.4g}, standard deviation {spread.second:.4g}"
-    return f"{spread.first:.4g}"
+    table = table_of(title, ["imperfection", "distribution", "unit"], rows)
+    return [*found, *section("Imperfections of the machines", [table])]
 
 
 def distributions(
