@@ -13,24 +13,31 @@ from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.problem.default_gains import driven_columns
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.default_gains import driven_columns, fastest_feedback, with_gains
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
+from linkplan.studies.check.drives import outside_at_home
 from linkplan.studies.check.new.changes import left_out, raised_limits
-from linkplan.studies.check.new.clear_way import obstacle_on_way, servos_hold, tendons_kept, why_stuck
+from linkplan.studies.check.new.clear_way import obstacle_on_way, servos_hold, tendons_kept
 from linkplan.studies.check.new.hanging import (
+    GRAVITY_M_S2,
     at_gravity_equilibrium,
+    hanging_columns,
     is_equilibrium,
+    is_large,
+    many_hang,
     resting_positions,
     rests_by_itself,
     with_home,
 )
-from linkplan.studies.check.new.pace import gains_table, is_large, many_hang, moderate_duration
 
 # Sizes of first motions that are tried, as shares of the largest one.
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
 # The mesh tolerance of large mechanisms, where each digit costs seconds: half of what a certificate allows.
 _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
+# The phase [rad] that a frequency [rad/s] covers in a first motion's duration [s].
+_EIGHT_CYCLES = 8 * 2 * np.pi
 
 
 def motions_of_all_homes(
@@ -122,7 +129,9 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         tables = _tables(mechanism, start, goal)
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal):
-            return why_stuck(mechanism)
+            outside = outside_at_home(mechanism)
+            remedy = "set another pose by mechanism.home_deg and home_m"
+            return f"{outside[0]}; {remedy}" if outside else "the joints cannot leave home"
         if (obstacle := obstacle_on_way(problem)) is not None:
             return obstacle
         duration, slow = moderate_duration(problem)
@@ -219,3 +228,27 @@ def moves_of(motion: Mapping) -> list[str]:
         for j, x in start.items()
         if goal[j] != x
     ]
+
+
+def moderate_duration(problem: Problem) -> tuple[float, bool]:
+    """Return a duration [s] with two digits, and True if only the simulation of the model makes it that long.
+
+    It is some times the shortest one on a smooth path, so that the efforts are moderate.
+
+    With hanging joints it is at least two swings of a pendulum of the mechanism's size, else at least 0.1 s. The model's own
+    simulation must be able to follow it.
+    """
+    mechanism = problem.mechanism
+    shortest = first_guess(problem, problem.start_pose()).duration_s
+    swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
+    least = 2 * swing if hanging_columns(mechanism) else 0.1
+    longer = 4 if sprung_freedoms(mechanism) else 2  # fast motions excite undriven springs
+    followed = _EIGHT_CYCLES / fastest_feedback(mechanism, problem.tracking.period_s)
+    moderate = max(longer * shortest, least)
+    return float(f"{max(moderate, followed):.2g}"), followed > moderate
+
+
+def gains_table(problem: Problem) -> dict:
+    """Return the default gains of a first motion, as its [tracking] table."""
+    found = with_gains(problem.tracking.replace(kp=None, kd=None), problem.mechanism, problem.start_pose)
+    return {"kp": found.kp, "kd": found.kd}

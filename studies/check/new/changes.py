@@ -29,6 +29,7 @@ from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.inspection_blocks import grouped
+from linkplan.studies.check.new.hanging import is_large
 from linkplan.studies.check.new.locks import (
     HOLD_MULTIPLE,
     dropped,
@@ -38,9 +39,7 @@ from linkplan.studies.check.new.locks import (
     rods_on_balls,
     spins,
 )
-from linkplan.studies.check.new.loop_gap import SOFT_GAP, home_gap
-from linkplan.studies.check.new.pace import is_large
-from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.check.softness import SOFT_GAP, STIFF_KEY, home_gap
 
 # Keys of the [mechanism] table that a change sets, and its sentence.
 Change = tuple[dict[str, object], str]
@@ -57,8 +56,13 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
     """
     source, selection = model_from_tables({"mechanism": dict(table)})
     notes = []
-    if not selection.fix_base and (fixed := _base_fixed(compile_model(source, selection=selection)[1])) is not None:
-        table, notes = {**table, **fixed[0]}, [fixed[1]]
+    if not selection.fix_base:
+        model = compile_model(source, selection=selection)[1]
+        floats = sorted(floating_joints(model))
+        if 0 < len(floats) < model.njnt:
+            table, joints = {**table, "fix_base": True}, listed([joint_label(model, j) for j in floats], 4)
+            fixed = f"fixed in place at home (mechanism.fix_base = true; joints {joints})"
+            notes.append(f"{floating_words(model)}: {fixed}")
     mechanism = _assembled(table)
     for change in _CHANGES:
         if (changed := change(mechanism, table)) is not None:
@@ -80,14 +84,6 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f" branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
         )
     return mechanism, (*notes, *mechanism.faults)
-
-
-def _base_fixed(model: mujoco.MjModel) -> Change | None:
-    floats = sorted(floating_joints(model))
-    if not 0 < len(floats) < model.njnt:
-        return None
-    what, joints = floating_words(model), [joint_label(model, j) for j in floats]
-    return {"fix_base": True}, (f"{what}: fixed in place at home (mechanism.fix_base = true; joints {listed(joints, 4)})")
 
 
 def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
@@ -114,7 +110,7 @@ def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
 
 
 def _overlaps_excluded(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    pairs = _not_on_ground(contact_pairs(mechanism, mechanism.home[None])) if mechanism.dof else []
+    pairs = not_on_ground(contact_pairs(mechanism, mechanism.home[None])) if mechanism.dof else []
     return (with_exclusions(table, pairs), overlap_sentence(pairs)) if pairs else None
 
 
@@ -134,26 +130,23 @@ def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
 def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
-    """Return the locks of joints [deg or m] that `find` adds to those of a table; None if it adds none."""
-    places = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    """Return the locks of joints [deg or m] that `find` adds to those of a table; None if it adds none.
+
+    The joints coupled to them are locked, too, and also rest at home.
+    """
+    model, places = mechanism.model, find(mechanism) if _moves(mechanism) else {}
+    couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
+    tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
+    for _ in tied:
+        names = set().union(*(pair for pair in tied if not pair.isdisjoint(places)))
+        homes = zip(mechanism.joints, mechanism.home, strict=True)
+        places = {joint.name: joint.shown(float(x)) for joint, x in homes if joint.name in names} | places
     locks = {name: round(place, 9) + 0.0 for name, place in places.items()}  # a home pose is assembled to 1e-15
     if not locks:
         return None
     given, text = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
     whole = {**(given if isinstance(given, Mapping) else {}), **locks}
     return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {text}")
-
-
-def _with_coupled(mechanism: Mechanism, locks: dict[str, float]) -> dict[str, float]:
-    """Return locks [deg or m] of joints and of the joints coupled to them, which also rest at home."""
-    model, locked = mechanism.model, dict(locks)
-    couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
-    tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
-    for _ in tied:
-        names = set().union(*(pair for pair in tied if not pair.isdisjoint(locked)))
-        homes = zip(mechanism.joints, mechanism.home, strict=True)
-        locked = {joint.name: joint.shown(float(x)) + 0.0 for joint, x in homes if joint.name in names} | locked
-    return locked
 
 
 def _listed(table: Mapping[str, object], key: str) -> list:
@@ -231,12 +224,7 @@ def left_out_notes(mechanism: Mechanism) -> list[str]:
     ] * bool(forces)
 
 
-def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
-    """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
-    return _not_on_ground(meeting for meeting in contacts if meeting.since_s is None)
-
-
-def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:
+def not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:
     """Return the pairs of bodies in contact, without pairs in contact with the ground."""
     pairs: dict[tuple[str, str], bool] = {}
     for contact in contacts:
@@ -258,8 +246,12 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
     The search for that pose is skipped if `before`, the mechanism without the last change, was assembled there and the
     change does not concern its joints.
     """
-    tables = {"mechanism": dict(table)}
-    if before is not None and (home := _home_found(table, before)):
+    tables, homes, locked = {"mechanism": dict(table)}, {}, table.get("lock")
+    for key in ("home_deg", "home_m"):  # before the change, without the joints that the table locks
+        found = before.source.get(key) if before is not None and key not in table else None
+        if isinstance(found, Mapping):
+            homes[key] = {n: x for n, x in found.items() if not isinstance(locked, Mapping) or n not in locked}
+    if home := {key: found for key, found in homes.items() if found}:
         try:
             return mechanism_from_tables({"mechanism": {**table, **home}})
         except LinkplanError:
@@ -274,17 +266,6 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
             return mechanism_from_tables(tables)
         except LinkplanError:
             raise error from None
-
-
-def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
-    """Return the home before a change, without the joints that the [mechanism] table locks; for tables without a home."""
-    locked = table.get("lock")
-    names = set(locked) if isinstance(locked, Mapping) else set()
-    homes = {key: before.source[key] for key in ("home_deg", "home_m") if key in before.source and key not in table}
-    left = {
-        key: {n: x for n, x in home.items() if n not in names} for key, home in homes.items() if isinstance(home, Mapping)
-    }
-    return {key: home for key, home in left.items() if home}
 
 
 # The order matters: fixed and locked parts determine which links overlap and the mechanism's size.

@@ -24,7 +24,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.default_gains import driven_columns
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, pose_beyond
-from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home
+from linkplan.studies.check.drives import drivable, motors_hint
 from linkplan.studies.check.inspection_blocks import grouped
 from linkplan.studies.check.new.hanging import hanging_columns, lock_at_home
 
@@ -59,13 +59,6 @@ def obstacle_on_way(problem: Problem) -> str | None:
         return sentence
     meeting = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(meeting[0])} collide" if meeting else None
-
-
-def why_stuck(mechanism: Mechanism) -> str:
-    """Return the reason why the driven joints cannot leave home; it names a joint that is outside its range at home."""
-    for sentence in outside_at_home(mechanism):
-        return f"{sentence}; set another pose by mechanism.home_deg and home_m"
-    return "the joints cannot leave home"
 
 
 def why_not(answer: Plan, within_s: float | None) -> str:

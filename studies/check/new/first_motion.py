@@ -19,18 +19,18 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.reasons import nothing_found
-from linkplan.studies.check.new.candidates import motions_of_all_homes, moves_of, tables_at_home
+from linkplan.studies.check.new.candidates import gains_table, motions_of_all_homes, moves_of, tables_at_home
 from linkplan.studies.check.new.changes import (
     changed_mechanism,
     left_out_notes,
+    not_on_ground,
     overlap_sentence,
-    overlapping_bodies,
     raised_notes,
     with_exclusions,
 )
 from linkplan.studies.check.new.clear_way import refuse_undriven, why_not
-from linkplan.studies.check.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
-from linkplan.studies.check.new.pace import gains_table, is_large
+from linkplan.studies.check.new.hanging import is_large
+from linkplan.studies.check.softness import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
 
 # Processor time [s] for all motions, the share of the rest that each motion gets, and the least time for a motion.
 _TIME_BUDGET_S, _TIME_SHARE, _MIN_SOLVE_S = 40.0, 0.3, 1.0
@@ -110,7 +110,12 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
         limit = max(_MIN_SOLVE_S, _TIME_SHARE * left)
         first = replace(first, mechanism=moving, tables=tables, plan=None)
         try:
-            answer = _planned(moving, tables | {"solver": {"max_time_s": limit}}, say)
+            problem = Problem.from_tables(moving.name, tables | {"solver": {"max_time_s": limit}}, mechanism=moving)
+            # The smooth path is usually feasible for a large robot, so it is tried first. If its certificate takes all the
+            # time, none is left for a search.
+            until = Deadline().within(limit)
+            answer = plan_motion(problem, say, (), (nothing_found,)) if is_large(moving) else None
+            answer = plan_motion(problem, say) if answer is None or not (answer.passed or until.passed) else answer
         except LinkplanError as error:
             first = replace(first, why=one_line(error))
             continue
@@ -126,20 +131,6 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             why=f"every straight path from home is blocked; the most frequent reason: {obstacles.most_common(1)[0][0]}",
         )
     return first
-
-
-def _planned(mechanism: Mechanism, tables: dict[str, dict], say: Say) -> Plan:
-    """Return the plan of a problem; of a large robot, whose smooth path is usually feasible, this path is tried first.
-
-    A certificate of this path that takes all the time leaves none for a search.
-    """
-    problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-    deadline = Deadline().within(problem.solver.max_time_s)
-    if is_large(mechanism):
-        smooth = plan_motion(problem, say, (), (nothing_found,))
-        if smooth.passed or deadline.passed:
-            return smooth
-    return plan_motion(problem, say)
 
 
 def _with_brief_search(first: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
@@ -160,7 +151,8 @@ def _with_brief_search(first: FirstMotion, plan: Plan, took_s: float) -> FirstMo
 
 def _without_contacts(first: FirstMotion, plan: Plan) -> FirstMotion:
     """Return a first motion without the contacts of links that overlap by construction; plans have no contact forces."""
-    pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
+    contacts = () if plan.certificate is None else plan.certificate.contacts
+    pairs = not_on_ground(meeting for meeting in contacts if meeting.since_s is None)
     if not pairs or plan.certificate is None:
         return first
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)

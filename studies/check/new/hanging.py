@@ -115,13 +115,7 @@ def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:
 
 
 def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, float]) -> np.ndarray | None:
-    """Return the equilibrium (n_q,) of least potential energy with held joints at given positions; None if none is found.
-
-    Args:
-        mechanism: with the springs and weights that store the energy.
-        near: a pose (n_q,), the start of the search for a local minimum.
-        held: positions [rad or m] by index into q; all other joints may move within loops and ranges.
-    """
+    """Return the pose of `least_energy_pose` if it is an equilibrium, on no stop; None if none is found."""
     pose = least_energy_pose(mechanism, near, held)
     return pose if pose is not None and is_equilibrium(mechanism, pose) else None
 
@@ -168,3 +162,13 @@ def least_energy_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int,
 def _energy_unit(mechanism: Mechanism) -> float:
     """Return the mechanism's weight times its extent [J]."""
     return float(mechanism.model.body_mass.sum()) * GRAVITY_M_S2 * mechanism.extent_m
+
+
+def is_large(mechanism: Mechanism) -> bool:
+    """Tell if a mechanism is as large as a robot's leg, or has loops solved by all rows. Each digit then costs seconds."""
+    return mechanism.n_q > 10 or mechanism.dof > 5 or bool(mechanism.projected)
+
+
+def many_hang(mechanism: Mechanism) -> bool:
+    """Tell if several joints hang, so that a motion excites several pendulum modes."""
+    return len(hanging_columns(mechanism)) > 1

@@ -48,10 +48,14 @@ def _laid_out(code: str, doc: str) -> list[str]:
 
 def file_tables(found: FirstMotion, model: str, target: Path | None) -> dict[str, dict]:
     """Return the tables of a first motion's file at `target`."""
-    tables = found.tables
-    if model not in MODELS:
-        tables = tables | {"mechanism": tables["mechanism"] | {"model": _relative_model_path(model, target)}}
-    return tables
+    if model in MODELS:
+        return found.tables
+    if target is not None:  # relative to the folder of the file
+        try:
+            model = Path(os.path.relpath(Path(model).resolve(), target.resolve().parent)).as_posix()
+        except ValueError as error:  # another drive
+            raise ModelError(f"'{model}' and '{target}' are on different drives: {error}") from error
+    return found.tables | {"mechanism": found.tables["mechanism"] | {"model": model}}
 
 
 def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, str]) -> str:
@@ -64,13 +68,3 @@ def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, st
         *(line for note in found.changed for line in [*textwrap.wrap(f"CHANGED: {note}", 98), ""]),
     ]
     return problem_text(tables, found.description, begin)
-
-
-def _relative_model_path(model: str, place: Path | None) -> str:
-    """Return a model file's path relative to the folder of the problem file at `place`."""
-    if place is None:
-        return model
-    try:
-        return Path(os.path.relpath(Path(model).resolve(), place.resolve().parent)).as_posix()
-    except ValueError as error:  # another drive
-        raise ModelError(f"'{model}' and '{place}' are on different drives: {error}") from error

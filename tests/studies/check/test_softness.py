@@ -13,8 +13,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.selected_model import whole_model_text
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.new.first_motion import first_motion
-from linkplan.studies.check.new.loop_gap import home_gap
-from linkplan.studies.check.softness import soft_closures, softness_note
+from linkplan.studies.check.softness import home_gap, soft_closures, softness_note
 from tests.support.tolerances_loops import SETTLED_SPEED
 
 STIFF = built_in_text("optimus-knee")

@@ -16,7 +16,7 @@ from linkplan.planner.refinement.history import Say
 from linkplan.studies.check.new.changes import changed_mechanism
 from linkplan.studies.check.new.first_motion import first_motion
 from linkplan.studies.check.new.hanging import at_gravity_equilibrium
-from linkplan.studies.check.new.loop_gap import SOFT_IN_MOTION, home_gap, planned_gap, travel
+from linkplan.studies.check.softness import SOFT_IN_MOTION, home_gap, planned_gap, travel
 from tests.support.drawn_by_others import arm
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
