@@ -240,7 +240,13 @@ def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machin
 
 def _scale_points(model: mujoco.MjModel, body: int, about: np.ndarray, factor: float) -> None:
     """Scale the points fixed to a body about a point (3,) of its frame, and those of bodies welded to it: a payload."""
-    for points in _points_of(model, body):
+    places = [model.body_ipos[body]]
+    places += [model.body_pos[i] for i in np.flatnonzero(model.body_parentid == body)]
+    places += [model.site_pos[i] for i in np.flatnonzero(model.site_bodyid == body)]
+    places += [model.geom_pos[i] for i in np.flatnonzero(model.geom_bodyid == body)]
+    for i in np.flatnonzero(model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)).tolist():  # sites have moved already
+        places += [point for end, point in tied_points(model, i) if end == body]
+    for points in places:  # views
         points[:] = about + factor * (points - about)
     _separate_frames(model, body)
     for child in np.flatnonzero(model.body_parentid == body):
@@ -253,17 +259,6 @@ def _separate_frames(model: mujoco.MjModel, body: int) -> None:
     model.body_sameframe[body] = 0
     model.site_sameframe[model.site_bodyid == body] = 0
     model.geom_sameframe[model.geom_bodyid == body] = 0
-
-
-def _points_of(model: mujoco.MjModel, body: int) -> list[np.ndarray]:
-    """Return views (3,) of all points fixed to a body: children, sites, geoms, closure anchors and centre of mass."""
-    places = [model.body_ipos[body]]
-    places += [model.body_pos[i] for i in np.flatnonzero(model.body_parentid == body)]
-    places += [model.site_pos[i] for i in np.flatnonzero(model.site_bodyid == body)]
-    places += [model.geom_pos[i] for i in np.flatnonzero(model.geom_bodyid == body)]
-    for i in np.flatnonzero(model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)).tolist():  # sites have moved already
-        places += [point for end, point in tied_points(model, i) if end == body]
-    return places
 
 
 def body_index(model: mujoco.MjModel, name: str) -> int:

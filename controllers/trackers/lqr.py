@@ -54,7 +54,12 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     """
     spans = [(A_k, B_k @ np.linalg.solve(R, B_k.T), Q) for A_k, B_k in zip(A, B, strict=True)]
     P = _stationary_cost(functools.reduce(_joined, spans) if repeats else spans[-1])
-    gains, cost = _backward(A, B, Q, R, P)
+    gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
+    for k in range(len(A) - 1, -1, -1):  # the Riccati recursion from the end
+        BP = B[k].T @ P
+        gains[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
+        P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
+        cost[k] = P = 0.5 * (P + P.T)
     after = np.arange(1, len(A) + 1)
     after[-1] = 0 if repeats else len(A) - 1
     return Regulator(A=A, B=B, gains=gains, cost=cost, Q=Q, R=R, after=after)
@@ -125,14 +130,3 @@ def _stationary_cost(span: _Span) -> np.ndarray:
     raise GainError(
         "LQR has no stabilising gain at the end or over a cycle of the motion: no effort stabilises a part of it"
     )
-
-
-def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
-    """Return gains (n, n_u, m) and P (n, m, m) of the backward Riccati recursion from P at the end."""
-    gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
-    for k in range(len(A) - 1, -1, -1):
-        BP = B[k].T @ P
-        gains[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
-        P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
-        cost[k] = P = 0.5 * (P + P.T)
-    return gains, cost

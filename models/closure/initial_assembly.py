@@ -289,7 +289,11 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
     start = np.array([asked.get(i, base[i]) for i in everything])
     unnamed = [i for i in everything if i not in asked]
     # Unnamed joints may belong to another branch than the reference's: quarter turns of them are further starts.
-    starts = [start, *(_turned(loop, start, unnamed) if len(asked) > 1 else [])]
+    hinges = [i for i in unnamed if loop.joints[i].kind == "hinge" and loop.joints[i].chart is None]
+    starts = [start]
+    for quarter in (1, 2, 3) if hinges and len(asked) > 1 else ():
+        starts.append(np.array(start))
+        starts[-1][hinges] += quarter * np.pi / 2
     from_reference = [newton.follow(loop, near, asked)] if gap <= loop.closed_m else []
     nearest, least = None, np.inf
     for pose, gap in itertools.chain(from_reference, _trial_poses(loop, starts, list(asked), unnamed)):
@@ -321,17 +325,6 @@ def _trial_poses(
         for trial in starts:
             guess = newton.close(loop, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
             yield newton.close(loop, guess, free)
-
-
-def _turned(loop: KinematicLoop, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
-    """Return `start` with all unnamed hinges turned by one, two and three quarter turns, as starts on other branches."""
-    hinges = [i for i in unnamed if loop.joints[i].kind == "hinge" and loop.joints[i].chart is None]
-    turned = []
-    for quarter in (1, 2, 3) if hinges else ():
-        trial = np.array(start)
-        trial[hinges] += quarter * np.pi / 2
-        turned.append(trial)
-    return turned
 
 
 def nearby_poses(loop: KinematicLoop, home: np.ndarray) -> list[np.ndarray]:

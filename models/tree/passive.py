@@ -7,7 +7,7 @@ constant force on a site along fixed axes.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -103,20 +103,6 @@ def _is_constant_in_world(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(at_rest and not np.any(turning) and not np.any(model.actuator_biasprm[actuator, 1:3]))
 
 
-def _site_forces(model: mujoco.MjModel, frames: Sequence[Any]) -> Iterator[tuple[ca.DM, ca.SX]]:
-    """Yield the constant forces (3,) [N] of actuators without gain, with the place (3,) [m] of their site."""
-    for actuator in range(model.nactuator):
-        if int(model.actuator_trntype[actuator]) != SITE_TRANSMISSION or not is_gas_spring(model, actuator):
-            continue
-        site, axes = (int(i) for i in model.actuator_trnid[actuator])
-        size = float(model.actuator_biasprm[actuator, 0])
-        if model.actuator_forcelimited[actuator]:
-            size = float(np.clip(size, *model.actuator_forcerange[actuator]))
-        along = size * model.actuator_gear[model.actuator_outadr[actuator], :3]
-        force = data_at(numeric(model)).site_xmat[axes].reshape(3, 3) @ along
-        yield ca.DM(force), frames[int(model.site_bodyid[site])].point(model.site_pos[site])
-
-
 def gas_springs(model: mujoco.MjModel, frames: Sequence[Any], lengths: Sequence, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the generalised force (n_q,) of actuators without gain, within their forceranges, and their energy [J] at rest.
 
@@ -138,7 +124,16 @@ def gas_springs(model: mujoco.MjModel, frames: Sequence[Any], lengths: Sequence,
         inside = (still - b0) / b1 if b1 else length
         energy -= b0 * inside + b1 * inside**2 / 2 + still * (length - inside)
         force += arm.T * push
-    for constant, place in _site_forces(model, frames):
+    for actuator in range(model.nactuator):  # constant forces on sites
+        if int(model.actuator_trntype[actuator]) != SITE_TRANSMISSION or not is_gas_spring(model, actuator):
+            continue
+        site, axes = (int(i) for i in model.actuator_trnid[actuator])
+        size = float(model.actuator_biasprm[actuator, 0])
+        if model.actuator_forcelimited[actuator]:
+            size = float(np.clip(size, *model.actuator_forcerange[actuator]))
+        along = size * model.actuator_gear[model.actuator_outadr[actuator], :3]
+        constant = ca.DM(data_at(numeric(model)).site_xmat[axes].reshape(3, 3) @ along)
+        place = frames[int(model.site_bodyid[site])].point(model.site_pos[site])
         energy -= ca.dot(constant, place)
         force += ca.jacobian(place, q).T @ constant
     return force, energy

@@ -118,11 +118,20 @@ class MechanismCase:
         )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
-        """Return the case with limits tightened by the amounts that the motion overran."""
+        """Return the case with limits tightened by the amounts that the motion overran.
+
+        Limits without tightenable rows are tightened in its problem, by 1.1 times the overrun.
+        """
         further = tightenings_of(certificate.margins, motion.breaks_s)
         further = evened(further) if self.enclosed else further
         everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
-        problem = _tightened(self.problem, certificate, further=everywhere)
+        problem = self.problem
+        for margin in certificate.margins:
+            by = margin.of.facts.tightened
+            if by is Tightened.IN_PROBLEM or (everywhere and by is Tightened.LATER_IN_PROBLEM):
+                problem = tightened_in(problem, margin, 1.1, _LEAST_TIGHTENING)
+            elif by is None and not margin.kept and np.isfinite(margin.left):
+                problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.share)
         return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)
 
 
@@ -187,17 +196,6 @@ def is_exact(problem: Problem, certificate: Certificate) -> bool:
     return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
         certificate.integration_error_m * strict <= INTEGRATION_M
     )
-
-
-def _tightened(problem: Problem, certificate: Certificate, *, further: bool) -> Problem:
-    """Return a problem whose limits without tightenable rows, and `further` ones, are tightened by 1.1 times the overrun."""
-    for margin in certificate.margins:
-        by = margin.of.facts.tightened
-        if by is Tightened.IN_PROBLEM or (further and by is Tightened.LATER_IN_PROBLEM):
-            problem = tightened_in(problem, margin, 1.1, _LEAST_TIGHTENING)
-        elif by is None and not margin.kept and np.isfinite(margin.left):
-            problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.share)
-    return problem
 
 
 def slow_share(mechanism: Mechanism, trajectory: Trajectory) -> tuple[float, str] | None:

@@ -228,15 +228,10 @@ def _refuse_other(file: Any, path: Path, kinds: Mapping[str, Kind], rows: int, m
     for field, have in zip(wanted, file.schema_arrow, strict=True):
         if have.type != field.type:
             raise PlanFileError(f"'{path}' has a column {field.name} of type {have.type}; it is of type {field.type}")
-    _refuse_content(found, path, len(kinds), rows, max_bytes)
-
-
-def _refuse_content(found: Any, path: Path, n_columns: int, rows: int, max_bytes: int) -> None:
-    """Refuse metadata with another number of rows, too many bytes, or other encodings than linkplan writes."""
     groups = [found.row_group(k) for k in range(found.num_row_groups)]
     if found.num_rows != rows or sum(group.num_rows for group in groups) != rows:
         raise PlanFileError(f"'{path}' has {found.num_rows} rows; {rows} were expected")
-    chunks = [group.column(k) for group in groups for k in range(n_columns)]
+    chunks = [group.column(k) for group in groups for k in range(len(kinds))]
     size = sum(chunk.total_uncompressed_size for chunk in chunks)
     if size > max_bytes:
         raise PlanFileError(f"'{path}' would take {size} bytes; at most {max_bytes} are read")

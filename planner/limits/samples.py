@@ -238,7 +238,12 @@ def samples_of(problem: Problem, trajectory: Trajectory, also: Sequence[float] =
         AssemblyError: when the loops cannot close along the motion.
         OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
-    points = _with_places(sample_points(trajectory.velocity.shape[0] - 1), trajectory.breaks_s, also)
+    points, breaks_s = sample_points(trajectory.velocity.shape[0] - 1), trajectory.breaks_s
+    asked = breaks_s[0] + np.asarray(also) * (breaks_s[-1] - breaks_s[0])
+    interval = np.clip(np.searchsorted(breaks_s, asked, side="right") - 1, 0, len(breaks_s) - 2)
+    for place in (asked - breaks_s[interval]) / np.diff(breaks_s)[interval]:
+        if np.abs(points - place).min() > _LEAST_DISTANCE:
+            points = np.sort(np.append(points, place))
     time = trajectory.times_at(points)
     until = problem.solver.judging_deadline
     q = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, until)
@@ -263,16 +268,6 @@ def sample_points(n_nodes: int) -> np.ndarray:
     n = max(12, 3 * n_nodes)  # three for each node, and as many as parabolas through them need
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
     points[-1] = 1.0 - 1e-12  # the end that still belongs to this interval
-    return points
-
-
-def _with_places(points: np.ndarray, breaks_s: np.ndarray, also: Sequence[float]) -> np.ndarray:
-    """Return the shares (n,) of an interval of a mesh with breaks [s], with the places of shares of the duration."""
-    time = breaks_s[0] + np.asarray(also) * (breaks_s[-1] - breaks_s[0])
-    interval = np.clip(np.searchsorted(breaks_s, time, side="right") - 1, 0, len(breaks_s) - 2)
-    for place in (time - breaks_s[interval]) / np.diff(breaks_s)[interval]:
-        if np.abs(points - place).min() > _LEAST_DISTANCE:
-            points = np.sort(np.append(points, place))
     return points
 
 

@@ -1,10 +1,7 @@
 """The sections of a comparison: animation of the tracked motions, table of trackers, errors and efforts over time."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.studies.compare.compare import Comparison, tracking_reference
@@ -26,9 +23,18 @@ _MAX_JOINTS_SHOWN = 6
 
 def comparison_sections(comparison: Comparison) -> list[Section]:
     """Return the sections of trackers' runs on a plan, without those of the plan."""
-    blocks = [_animation(comparison), *comparison_blocks(comparison)]
-    first = Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks)
-    return [first, *(section for case in comparison.cases for section in _over_time(comparison, *case))]
+    mechanism, blocks = comparison.plan.problem.mechanism, [_animation(comparison), *comparison_blocks(comparison)]
+    found = [Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks)]
+    for title, runs in comparison.cases:  # over time, the joints and actuators with the largest errors and efforts first
+        chosen, pushed = largest(runs.values(), _MAX_JOINTS_SHOWN)
+        others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
+        blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
+        blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
+        found.append(Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=2))
+        if any(others):
+            blocks = [*joint_plots(comparison, runs, others[0]), *effort_plots(comparison, runs, others[1])]
+            found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=2, folded=True))
+    return found
 
 
 def whole_comparison(comparison: Comparison) -> list[Section]:
@@ -62,20 +68,6 @@ def _animation(comparison: Comparison) -> Block:
         ghosts=ghosts,
         sites=plan.problem.sites,
     )
-
-
-def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:
-    """Return the plots over time of the joints and actuators with the largest errors and efforts, the others collapsed."""
-    mechanism = comparison.plan.problem.mechanism
-    chosen, pushed = largest(runs.values(), _MAX_JOINTS_SHOWN)
-    others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
-    blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
-    blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
-    found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=2)]
-    if any(others):
-        blocks = [*joint_plots(comparison, runs, others[0]), *effort_plots(comparison, runs, others[1])]
-        found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=2, folded=True))
-    return found
 
 
 def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> list[Text]:

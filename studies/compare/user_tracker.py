@@ -92,20 +92,14 @@ def _text_of(thing: object) -> str:
 
 def _loaded(text: str, load: Callable[[], Any]) -> TrackerLike:
     with users_code(text, "cannot be loaded"):
-        _forget_older(text)
+        content: dict[str, bytes] = {}
+        with contextlib.suppress(ProblemError, OSError):  # the import reports the error
+            content = {name: path.read_bytes() for name, path in source_files(module_of(text)).items()}
+        if any(name in sys.modules and _loaded_from.get(name, held) != held for name, held in content.items()):
+            for name in content:  # one of the tracker's files has changed since the import
+                sys.modules.pop(name, None)
+        _loaded_from.update(content)
         return load()
-
-
-def _forget_older(text: str) -> None:
-    """Remove a tracker's modules from `sys.modules` if one of their files has changed since the import."""
-    try:
-        content = {name: path.read_bytes() for name, path in source_files(module_of(text)).items()}
-    except (ProblemError, OSError):
-        return  # the import reports the error
-    if any(name in sys.modules and _loaded_from.get(name, held) != held for name, held in content.items()):
-        for name in content:
-            sys.modules.pop(name, None)
-    _loaded_from.update(content)
 
 
 def _object_of(module: str, name: str) -> Any:

@@ -67,7 +67,12 @@ def _write(place: Path, say: Say) -> dict:
     verdict = f"{len(plans)} plans, all certified; {len(compared)} comparisons; {len(LOOPS)} feedback loops"
     passed = all(plan.certificate.passed for plan in plans.values())
     overview = _overview(said, plans)
-    sections = [*_story(plans, compared, loops), overview, *_further(plans, compared, loops, checks)]
+    further = []  # collapsed: the other plans, comparisons and loops, and the checks
+    for name in (name for name in PLANNED if name != STORY):
+        further += [*plan_sections(plans[name], animated=name not in compared), *compared.get(name, [])]
+    further += [*(section for sections in loops[1:] for section in sections), *checks]
+    folded = [_folded(section) if section.depth == 1 else section for section in further]
+    sections = [*_story(plans, compared, loops), overview, *folded]
     report = report_of("linkplan on the Optimus knee", verdict, passed, sections)
     save_report(report, place, page=True)
     write_json(place / "demo.json", said)
@@ -96,17 +101,6 @@ def _story(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Se
     tracked = replace(tracked, title="The swing as tracked in MuJoCo")
     loop, *details = loops[0]
     return [*planned, tracked, *map(_folded, over_time), loop, *map(_folded, details)]
-
-
-def _further(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections], checks: Sections) -> Sections:
-    """Return the collapsed sections of the other plans, comparisons and loops, and of the checks."""
-    found = []
-    for name in PLANNED:
-        if name != STORY:
-            both = [*plan_sections(plans[name], animated=name not in compared), *compared.get(name, [])]
-            found += [_folded(section) if section.depth == 1 else section for section in both]
-    others = [section for sections in loops[1:] for section in sections]
-    return [*found, *(_folded(section) if section.depth == 1 else section for section in (*others, *checks))]
 
 
 def _folded(section: Section) -> Section:

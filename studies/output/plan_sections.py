@@ -137,23 +137,17 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        tables, names = _without_folders(plan.problem.to_dict())
+        tables, names = dict(plan.problem.to_dict()), []
+        for section, key in (("mechanism", "model"), ("guess", "plan")):  # file names in place of absolute paths
+            path = Path(tables.get(section, {}).get(key, ""))
+            if path.is_absolute():
+                tables[section] = tables[section] | {key: path.name}
+                names.append(path.name)
         text = file_text(tables, plan.problem.extras)
     except ProblemError as error:
         return [Text(text=f"The problem cannot be written as a file: {error}", tone="note")]
     beside = f"# Needs {' and '.join(names)} in its folder.\n" if names else ""
     return [Code(title="The problem as a file", text=beside + text)]
-
-
-def _without_folders(tables: dict) -> tuple[dict, list[str]]:
-    """Return a problem's tables with file names in place of absolute paths, and these names."""
-    found, names = dict(tables), []
-    for section, key in (("mechanism", "model"), ("guess", "plan")):
-        path = Path(found.get(section, {}).get(key, ""))
-        if path.is_absolute():
-            found[section] = found[section] | {key: path.name}
-            names.append(path.name)
-    return found, names
 
 
 def plan_report(plan: Plan) -> Report:

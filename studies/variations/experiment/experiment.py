@@ -179,7 +179,13 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     passive = ~mechanism.actuated  # joints that cannot be controlled
     middle = np.median(values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors before the run
-    _refuse_late_push(section, values, float(reference.time_s[-1]))
+    end_s = float(reference.time_s[-1])
+    pushed = [column for column, factor in enumerate(section.factors) if factor.label == "push_start_s"]
+    if pushed and (first := values[:, pushed[0]].min()) >= end_s:
+        raise ProblemError(
+            f"imperfections.push_start_s must be before the end of the run, {end_s:.4g} s, on at least one machine; got"
+            f" {first:g} or more; tracking.duration_s makes runs longer"
+        )
     return Experiment(
         plan=plan,
         settings=settings,
@@ -190,17 +196,6 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
         end_s=trajectory.duration_s if ends else None,
     )
-
-
-def _refuse_late_push(section: ImperfectionFactors, values: np.ndarray, end_s: float) -> None:
-    """Refuse pushes that start after a run's end [s] on every machine."""
-    labels = [factor.label for factor in section.factors]
-    if "push_start_s" in labels and values[:, labels.index("push_start_s")].min() >= end_s:
-        first = values[:, labels.index("push_start_s")].min()
-        raise ProblemError(
-            f"imperfections.push_start_s must be before the end of the run, {end_s:.4g} s, on at least one machine; got"
-            f" {first:g} or more; tracking.duration_s makes runs longer"
-        )
 
 
 def fall_note(experiment: Experiment) -> str | None:

@@ -172,19 +172,13 @@ def _curves(one: SizedMotor, speed: np.ndarray, colour: int, width: float) -> li
     planned = one.curve[drawn_rows(one.curve)]
     name = f"{one.title} (dashed: its limits)"
     curve = Series(name=name, x=rounded(planned[:, 0]), y=rounded(planned[:, 1]), colour=colour, width=width)
-    limits = (rounded(end) for end in _ends(one, speed))
-    return [curve, *(Series(name="", x=rounded(speed), y=end, look="dash", colour=colour, width=1.2) for end in limits)]
-
-
-def _ends(one: SizedMotor, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the largest efforts (n,) behind the gear at speeds (n,); NaN where the motor has none."""
     peak = one.gear * one.peak_limit
     low, high = np.full_like(speed, -peak), np.full_like(speed, peak)
     if one.line is not None:
         stall, no_load = one.line
         low, high = np.maximum(low, stall * (-1.0 - speed / no_load)), np.minimum(high, stall * (1.0 - speed / no_load))
-    none = low > high
-    return np.where(none, np.nan, low), np.where(none, np.nan, high)
+    limits = (rounded(np.where(low > high, np.nan, end)) for end in (low, high))
+    return [curve, *(Series(name="", x=rounded(speed), y=end, look="dash", colour=colour, width=1.2) for end in limits)]
 
 
 # More plans are probably a typing error: at a second each they take a quarter of an hour.
