@@ -18,8 +18,7 @@ from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare, mismatch_of
-from linkplan.studies.compare.tracking_result import tracking_result
-from linkplan.studies.compare.tracking_sections import comparison_sections
+from linkplan.studies.compare.tracking_result import comparison_sections, tracking_result
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.further_studies import map_study
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks

@@ -21,10 +21,9 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
 from linkplan.planner.search.replan import Replanner
 from linkplan.studies.compare.compare import Comparison, compare
-from linkplan.studies.compare.tracking_sections import comparison_sections
+from linkplan.studies.compare.tracking_result import comparison_sections
 from linkplan.studies.output.document import Animation, Report, Section
-from linkplan.studies.output.lead import verdict_sentence
-from linkplan.studies.output.plan_sections import plan_report, plan_sections
+from linkplan.studies.output.plan_sections import plan_report, plan_sections, verdict_sentence
 from linkplan.studies.output.report_file import report_of
 
 # The objectives of the page, those that need neither a reference nor motors.

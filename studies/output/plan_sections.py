@@ -18,10 +18,20 @@ from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Axis, Block, Code, Facts, Plane, Plot, Report, Section, Series, Table, Text
 from linkplan.studies.output.draw_plan import drawn_motion, force_plots, time_plots
-from linkplan.studies.output.lead import lead_facts, verdict_sentence
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
-from linkplan.studies.output.plan_blocks import demand_blocks, facts, names_in, proof_blocks, sensitivity_blocks, solves
+from linkplan.studies.output.plan_blocks import (
+    demand_blocks,
+    facts,
+    figure,
+    least_margin,
+    names_in,
+    objective_digits,
+    objective_unit,
+    proof_blocks,
+    sensitivity_blocks,
+    solves,
+)
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.text import in_brief, notes_of
 
@@ -298,3 +308,38 @@ def _cut(speed: np.ndarray, most: float) -> np.ndarray:
     """Return speeds; NaN from the first speed above `most` on."""
     beyond = np.flatnonzero(np.abs(speed) > most)
     return np.where(np.arange(len(speed)) < (beyond[0] if len(beyond) else len(speed)), speed, np.nan)
+
+
+def verdict_sentence(plan: Plan) -> str:
+    """Return the verdict of a plan in one sentence."""
+    if plan.certificate is None or not plan.passed:
+        return plan.message
+    return f"{plan.message}; every limit is satisfied at the nodes and between them"
+
+
+def lead_facts(plan: Plan, motion: Samples) -> Facts:
+    """Return the main facts of a plan with a motion."""
+    problem, digits = plan.problem, objective_digits(plan)
+    rows = [_peak_effort(plan, motion), least_margin(plan)]
+    rows.append(("duration", f"{figure(plan.trajectory.duration_s, digits)} s"))
+    if plan.objective is not None:
+        value = f"{figure(plan.objective, digits)}{objective_unit(problem)}"
+        rows.append(("objective", f"{problem.objective.name}: {value}"))
+    return Facts(rows=[row for row in rows if row is not None])
+
+
+def _peak_effort(plan: Plan, motion: Samples) -> tuple[str, str] | None:
+    """Return the largest effort as a share of its limit, with its instant; without limits, the largest effort."""
+    actuators = plan.problem.mechanism.actuators
+    if not actuators:
+        return None
+    limits = effort_bounds(plan.problem)
+    side = np.where(motion.u < 0, -limits[:, 0], limits[:, 1])
+    share = np.abs(motion.u) / np.where(np.isfinite(side) & (side > 0), side, np.inf)
+    size = share if share.any() else np.abs(motion.u)
+    at, j = np.unravel_index(int(np.argmax(size)), size.shape)
+    actuator, value = actuators[j], motion.u[at, j]
+    limit = limits[j, 0] if value < 0 else limits[j, 1]
+    known = f" of {limit:.5g} {actuator.unit} ({100 * share[at, j]:.3g} %)"
+    of = known if np.isfinite(limit) else f" {actuator.unit}, no limit"
+    return "peak effort", f"{value:.4g}{of}, {actuator.name} at {motion.time[at]:.4g} s"

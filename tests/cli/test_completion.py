@@ -18,7 +18,7 @@ from linkplan.cli.completion_command import completion_command
 from linkplan.cli.option_kinds import KINDS
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.planner.problem.keys.key_table import FILES
-from linkplan.studies.variations.experiment.design import DESIGNS
+from linkplan.studies.variations.experiment.experiment import DESIGNS
 from tests.support.data import ROOT
 
 # What is typed, and what must be among the answers.

@@ -37,9 +37,9 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
 )
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
+from linkplan.studies.feedback.frequency.simulated_loops import MAX_TRIAL_PERIODS, settle_trials
 from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.transfer_function import plant_modes
-from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 from linkplan.studies.output.plan_blocks import radius_figure
 
 # Default poses as shares of the reach: five evenly spaced, and one close to each end, where gains are extreme. The end

@@ -17,8 +17,7 @@ from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_tex
 from linkplan.studies.feedback.bode.scan import Scan, bounds_text
 from linkplan.studies.feedback.frequency.describing import LargeSignals
 from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, SampledLaw
-from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
-from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
+from linkplan.studies.feedback.frequency.margins import LEAST_RESPONSE_AT_REST, Margins, frequency_grid
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, panels_of, side_by_side
 from linkplan.studies.output.paths import drawn

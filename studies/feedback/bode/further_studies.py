@@ -26,13 +26,13 @@ from linkplan.studies.feedback.frequency.feasible import curve_rows, default_amp
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop, operating_point
 from linkplan.studies.feedback.frequency.floquet import floquet, frozen_radii, linear_law
 from linkplan.studies.feedback.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.simulated_loops import settle_trials
 from linkplan.studies.feedback.frequency.stability_map import (
     critical_kd,
     longest_period,
     pd_loop,
     stability_map,
 )
-from linkplan.studies.feedback.frequency.trial import settle_trials
 from linkplan.studies.feedback.frequency.worst import refined_minima
 
 _GRID_POINTS = 48

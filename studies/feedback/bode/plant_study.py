@@ -44,13 +44,13 @@ from linkplan.studies.feedback.frequency.ports import (
     plant_output,
 )
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
+from linkplan.studies.feedback.frequency.simulated_loops import settle_trials
 from linkplan.studies.feedback.frequency.transfer_function import (
     TransferFunction,
     in_right_half_plane,
     modes_of,
     plant_transfer,
 )
-from linkplan.studies.feedback.frequency.trial import settle_trials
 
 # Number of decades drawn below a response's slowest root and above its fastest root.
 _DRAWN_DECADES = 1.0

@@ -10,8 +10,7 @@ import numpy as np
 
 from linkplan.controllers.sampling import Sampling, closed
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
-from linkplan.studies.feedback.frequency.margins import damping_ratio, settling_time_s
-from linkplan.studies.feedback.frequency.rest import rest_response
+from linkplan.studies.feedback.frequency.margins import damping_ratio, rest_response, settling_time_s
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.quick import quick_loops
-from linkplan.studies.feedback.frequency.trial import settle_trials
+from linkplan.studies.feedback.frequency.simulated_loops import settle_trials
 from linkplan.studies.feedback.frequency.worst import last_good
 
 # Points along each axis of the grid from which the boundary is drawn.

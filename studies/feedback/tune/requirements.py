@@ -13,9 +13,8 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, SampledLaw, label_differences
-from linkplan.studies.feedback.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.margins import LEAST_RESPONSE_AT_REST, Margins, margins
 from linkplan.studies.feedback.frequency.quick import QuickMargins
-from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
 
 # By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
 SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4

@@ -27,8 +27,8 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     operating_point,
     outputs_of,
 )
+from linkplan.studies.feedback.frequency.margins import passive_stiffness
 from linkplan.studies.feedback.frequency.quick import quick_loops
-from linkplan.studies.feedback.frequency.rest import passive_stiffness
 from linkplan.studies.feedback.frequency.stability_map import effort_map
 from linkplan.studies.feedback.frequency.transfer_function import plant_modes
 from linkplan.studies.feedback.frequency.worst import refined_minima

@@ -31,8 +31,7 @@ from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.result import Result
 from linkplan.studies.variations.experiment.block import replay
-from linkplan.studies.variations.experiment.design import varied
-from linkplan.studies.variations.experiment.experiment import AskedRecord, Experiment
+from linkplan.studies.variations.experiment.experiment import AskedRecord, Experiment, varied
 from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.sensitivity import (
     Sensitivity,

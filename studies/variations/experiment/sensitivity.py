@@ -28,8 +28,7 @@ from linkplan.studies.output.document import (
     table_of,
 )
 from linkplan.studies.output.figure_spec import FigureSpec
-from linkplan.studies.variations.experiment.design import ends_of, varied
-from linkplan.studies.variations.experiment.experiment import Experiment
+from linkplan.studies.variations.experiment.experiment import Experiment, ends_of, varied
 from linkplan.studies.variations.experiment.metrics import Metric, metrics_of
 from linkplan.studies.variations.experiment.statistics import Estimate
 

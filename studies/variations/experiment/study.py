@@ -23,8 +23,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.variations.experiment.block import run_block, sample_blocks, unbatched_notes
-from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.variations.experiment.experiment import (
+    LATIN_HYPERCUBE,
     AskedRecord,
     Experiment,
     ExperimentRecord,
@@ -33,6 +33,7 @@ from linkplan.studies.variations.experiment.experiment import (
     experiment_of,
     fall_note,
     imperfections_asked,
+    replicate_of,
     request_of,
 )
 from linkplan.studies.variations.experiment.experiment_blocks import ExperimentOutcome

@@ -17,7 +17,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.comparison_notes import default_gains, servo_note
+from linkplan.studies.compare.comparison_blocks import default_gains, servo_note
 from linkplan.studies.compare.lqr_weights import scaled
 from tests.support.designs import designed
 from tests.support.parallel_ankle import soft_ankle

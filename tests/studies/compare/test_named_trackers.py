@@ -7,7 +7,7 @@ from linkplan.cli.main import main
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import GainError, ProblemError
 from linkplan.studies.compare.compare import compare, track
-from linkplan.studies.compare.comparison_notes import comparison_notes
+from linkplan.studies.compare.comparison_blocks import comparison_notes
 from linkplan.studies.compare.user_tracker import tracker_named, trackers_loaded, users_tracker
 from tests.support.bodies import body_plan
 from tests.support.plans import optimal

@@ -30,8 +30,7 @@ from linkplan.studies.compare.compare import (
     track,
     tracking_reference,
 )
-from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
-from linkplan.studies.compare.comparison_notes import comparison_notes
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, comparison_notes
 from linkplan.studies.compare.named_run import run_columns, save_time_series
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.plan_blocks import plan_blocks

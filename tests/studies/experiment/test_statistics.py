@@ -6,7 +6,7 @@ import scipy.stats
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
-from linkplan.studies.variations.experiment.design import N_HYPERCUBES, machines_by_design, replicate_of
+from linkplan.studies.variations.experiment.experiment import N_HYPERCUBES, machines_by_design, replicate_of
 from linkplan.studies.variations.experiment.experiment_blocks import distributions, estimated
 from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.statistics import Estimate, mean_of, pair_of, share_of

@@ -10,6 +10,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, feedback_loop, operating_point
 from linkplan.studies.feedback.frequency.margins import delay_margin, margins
 from linkplan.studies.feedback.frequency.quick import quick_loops
+from linkplan.studies.feedback.frequency.simulated_loops import settle_trials
 from linkplan.studies.feedback.frequency.stability_map import (
     critical_kd,
     longest_period,
@@ -18,7 +19,6 @@ from linkplan.studies.feedback.frequency.stability_map import (
     radii,
     stability_map,
 )
-from linkplan.studies.feedback.frequency.trial import settle_trials
 from tests.support.oscillators import inertia_alone
 from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, MARGIN, QUICK, QUICK_DEG, RADIUS
 
