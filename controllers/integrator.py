@@ -121,7 +121,13 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
         D = _servo_terms(mechanism, pose, 2) - sampled(_slope(mechanism, "dampers"), pose, rates)
         if kind == int(mujoco.mjtIntegrator.mjINT_IMPLICIT):
             D = D + sampled(_slope(mechanism, "bias"), pose, rates)
-        D = D * _related(model)
+        related = np.eye(model.nv, dtype=bool)  # one of two degrees of freedom is an ancestor of the other
+        for dof in range(model.nv):
+            above = int(model.dof_parentid[dof])
+            while above >= 0:
+                related[dof, above] = related[above, dof] = True
+                above = int(model.dof_parentid[above])
+        D = D * related  # the simulator drops other entries
     if not np.any(D):
         return np.broadcast_to(np.eye(n_s), (n, n_s, n_s))
     M = sampled(mechanism.dynamics.mass_matrix, pose)
@@ -198,14 +204,3 @@ def _spring_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
             taut = (low >= data.ten_length) | (data.ten_length >= high)
             K[k] += arms.T @ (np.where(taut, np.maximum(a + 2 * b * x + 3 * c * x**2, 0.0), 0.0)[:, None] * arms)
     return K
-
-
-def _related(model: mujoco.MjModel) -> np.ndarray:
-    """Return True (nv, nv) if one of two degrees of freedom is an ancestor of the other; the simulator drops other D."""
-    related = np.eye(model.nv, dtype=bool)
-    for dof in range(model.nv):
-        above = int(model.dof_parentid[dof])
-        while above >= 0:
-            related[dof, above] = related[above, dof] = True
-            above = int(model.dof_parentid[above])
-    return related

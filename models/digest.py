@@ -53,18 +53,14 @@ def part_hashes(model: mujoco.MjModel) -> dict[str, str]:
                 # Nine digits: MuJoCo's compiler may round differently on other machines.
                 digest.update(" ".join(f"{number + 0.0:.9g}" for number in array.ravel()).encode())
         if part == "tendons and sites":
-            digest.update(_wrapped_geoms(model))
+            # The places and radii of the geoms that tendons wrap around.
+            around = (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER))
+            geoms = [int(geom) for kind, geom in zip(model.wrap_type, model.wrap_objid, strict=True) if int(kind) in around]
+            of_geoms = (model.geom_bodyid, model.geom_pos, model.geom_quat, model.geom_size)
+            numbers = [number for geom in geoms for field in of_geoms for number in np.ravel(field[geom])]
+            digest.update(" ".join(f"{number + 0.0:.9g}" for number in numbers).encode())
         found[part] = digest.hexdigest()[:16]
     return found
-
-
-def _wrapped_geoms(model: mujoco.MjModel) -> bytes:
-    """Return, as text, the places and radii of the geoms that tendons wrap around; empty without such geoms."""
-    around = (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER))
-    geoms = [int(geom) for kind, geom in zip(model.wrap_type, model.wrap_objid, strict=True) if int(kind) in around]
-    fields = (model.geom_bodyid, model.geom_pos, model.geom_quat, model.geom_size)
-    numbers = np.concatenate([np.ravel(field[geom]) for geom in geoms for field in fields]) if geoms else np.empty(0)
-    return " ".join(f"{number + 0.0:.9g}" for number in numbers).encode()
 
 
 def compiled_bytes(model: mujoco.MjModel) -> bytes:

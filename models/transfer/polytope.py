@@ -35,7 +35,7 @@ def speed_alone(ratio: np.ndarray, motor_speed: np.ndarray) -> np.ndarray:
 
 def speed_box(ratio: np.ndarray, motor_speed: np.ndarray) -> np.ndarray:
     """Return each joint's largest speed (n, n_o) if all joints may move at once; G is square."""
-    return np.einsum("nom,m->no", np.abs(_inverse(ratio)), motor_speed)
+    return np.einsum("nom,m->no", np.abs(inverse_ratios(ratio)), motor_speed)
 
 
 def motor_gains(ratio: np.ndarray, joint_gains: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ def motor_gains(ratio: np.ndarray, joint_gains: np.ndarray) -> np.ndarray:
     With more motors than joints they are the gains of least norm, with fewer the nearest. At rest without load the joints
     then have the stiffness K_o, whichever way the motors' errors are measured. NaN at a dead centre.
     """
-    back = _inverse(ratio)
+    back = inverse_ratios(ratio)
     return np.einsum("nom,op,npk->nmk", back, joint_gains, back)
 
 
@@ -53,7 +53,7 @@ def joint_gains(ratio: np.ndarray, motor_gains: np.ndarray) -> np.ndarray:
     return np.einsum("nmo,mk,nkp->nop", ratio, motor_gains, ratio)
 
 
-def _inverse(ratio: np.ndarray) -> np.ndarray:
+def inverse_ratios(ratio: np.ndarray) -> np.ndarray:
     """Return the pseudo-inverses (n, n_o, n_m) of G, NaN where G is singular or NaN."""
     found = np.full(ratio.transpose(0, 2, 1).shape, np.nan)
     known = np.isfinite(ratio).all(axis=(1, 2))

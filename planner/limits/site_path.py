@@ -67,12 +67,17 @@ class OnPathLimit(Limit):
         path = problem.path
         assert path is not None
         places = functools.cache(functools.partial(_squared_distance, problem.mechanism, path))
-        known = trajectory.along.size > 0
+        known, passed = trajectory.along.size > 0, []
+        if known:  # the pieces of the path on each interval, from the coefficients of its parameter
+            of, rounding = trajectory.along[:, :, 0], JOIN_SHARE * path.curve.length
+            ends = np.stack([of.min(axis=0) + rounding, np.maximum(of.max(axis=0) - rounding, of.min(axis=0) + rounding)])
+            at = np.clip(np.searchsorted(path.curve.starts, ends, side="right") - 1, 0, None)
+            passed = [places(tuple(range(first, last + 1))) for first, last in at.T.tolist()]
         yield Claimed(
             name=f"squared distance of site {path.site} from its path",
             unit="m2",
             bounds=(-np.inf, path.within_m**2),
-            value=[places(pieces) for pieces in _pieces_passed(path, trajectory)] if known else (),
+            value=passed,
             unknown="" if known else "the motion does not state its place along the path",
             of_planned=True,
             slack=(0.0, 0.0),
@@ -83,14 +88,6 @@ class OnPathLimit(Limit):
         if problem.path is None:
             return problem
         return problem.varied(path=replace(problem.path, within_m=problem.path.within_m * min(factor, 1e12)))
-
-
-def _pieces_passed(path: SitePath, trajectory: Trajectory) -> list[tuple[int, ...]]:
-    """Return the pieces of the path that a motion passes on each interval, from the coefficients of its parameter."""
-    of, rounding = trajectory.along[:, :, 0], JOIN_SHARE * path.curve.length
-    ends = np.stack([of.min(axis=0) + rounding, np.maximum(of.max(axis=0) - rounding, of.min(axis=0) + rounding)])
-    first, last = np.clip(np.searchsorted(path.curve.starts, ends, side="right") - 1, 0, None)
-    return [tuple(range(low, high + 1)) for low, high in zip(first.tolist(), last.tolist(), strict=True)]
 
 
 def _squared_distance(mechanism: Mechanism, path: SitePath, pieces: tuple[int, ...]) -> ca.Function:

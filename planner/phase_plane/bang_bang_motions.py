@@ -204,15 +204,6 @@ def _resting_places(plane: PhasePlane, part: Part) -> tuple[float | None, float 
     return found[0], found[1]
 
 
-def _stop(plane: PhasePlane, part: Part, start: int, rest: float):
-    """Return the leg (indices, w, directions of the effort) on which full effort stops a part that begins at a speed."""
-    v = part.speeds[0]
-    way = int(np.sign(v))
-    index = np.arange(start, plane.at(rest) + way, way)
-    w = plane.leg(start, 0.5 * v**2, way, -way)[: len(index) - 1]
-    return index, np.pad(w, (0, len(index) - len(w))), np.full(len(index), -way)
-
-
 def _arriving(plane: PhasePlane, ends: list[tuple[int, float]], deadline: Deadline) -> dict[tuple[int, int], np.ndarray]:
     """Return braking legs (w at cell ends) by position and direction of arrival, for places with given speeds."""
     found = {}
@@ -239,7 +230,11 @@ def _legs(plane: PhasePlane, part: Part, deadline: Deadline):
     ticket = itertools.count(1)  # equal times are never compared further
     queue, known = [(0.0, 0, 0, start, [])], {}
     if stop is not None and plane.at(stop) != start:
-        stopped = _stop(plane, part, start, stop)
+        v = speeds[0]  # full effort stops the part
+        way = int(np.sign(v))
+        index = np.arange(start, plane.at(stop) + way, way)
+        w = plane.leg(start, 0.5 * v**2, way, -way)[: len(index) - 1]
+        stopped = index, np.pad(w, (0, len(index) - len(w))), np.full(len(index), -way)
         queue.append((_duration(plane, stopped), next(ticket), 1, plane.at(stop), [stopped]))
     while queue:
         deadline.require_time()

@@ -272,7 +272,8 @@ class _Way:
                 return None
             follows = not follows and way * v > (1 - _SAME_SPEED) * top and self.curve.excess(place, towards=False) >= 0
             if follows:
-                first = self._followed_from(place)
+                before = self.places[way * (self.places - place) < 0][::-1]
+                first = self.curve.sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
                 found += reversed(list(self._curve_legs(first, place)))
                 place, v = first, way * float(self._fastest_at(first))
                 continue
@@ -310,11 +311,6 @@ class _Way:
         if apart(t[k]) < 0:
             return None
         return float(scipy.optimize.brentq(apart, t[k - 1], t[k], xtol=1e-15)) if apart(t[k - 1]) < 0 else float(t[k - 1])
-
-    def _followed_from(self, place: float) -> float:
-        """Return the first position from which the motion can follow the velocity curve to a given position."""
-        before = self.places[self.field.way * (self.places - place) < 0][::-1]
-        return self.curve.sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
 
     def _curve_legs(self, first: float, last: float) -> Iterator[Leg]:
         """Yield the legs along the velocity curve between two positions, one for each limit that determines it in turn."""

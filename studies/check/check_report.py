@@ -137,7 +137,12 @@ def quantities(path: KinematicLoopPath, names: AbstractSet[str] | None = None) -
 
     The inertia at an actuator has its own column if it differs from the inertia of every coordinate.
     """
-    found, joints = [], _same_inertia(path)
+    own, felt = path.own_inertia, path.reflected_inertia
+    with np.errstate(invalid="ignore"):
+        same = np.all(np.abs(felt[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
+    named, pairs = path.mechanism.independent_joints, zip(path.mechanism.actuators, same.T, strict=True)
+    joints = {actuator.name: named[int(np.argmax(of))].name for actuator, of in pairs if of.any()}
+    found = []
     for quantity in QUANTITIES:
         scale = _scale(getattr(path, quantity.field))
         for curve in shown_curves(path, quantity, path.mechanism.channels) if quantity.column else ():
@@ -152,16 +157,6 @@ def quantities(path: KinematicLoopPath, names: AbstractSet[str] | None = None) -
                 scale = _scale(curve.values)
             found.append(Column(head=head, unit=curve.unit, values=curve.values, scale=scale))
     return found
-
-
-def _same_inertia(path: KinematicLoopPath) -> dict[str, str]:
-    """Return, by actuator name, the coordinate whose inertia equals the inertia at the actuator, if there is one."""
-    own, felt = path.own_inertia, path.reflected_inertia
-    with np.errstate(invalid="ignore"):
-        same = np.all(np.abs(felt[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
-    joints = path.mechanism.independent_joints
-    pairs = zip(path.mechanism.actuators, same.T, strict=True)
-    return {actuator.name: joints[int(np.argmax(of))].name for actuator, of in pairs if of.any()}
 
 
 def _pose(path: KinematicLoopPath, k: int) -> str:

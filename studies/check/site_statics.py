@@ -22,6 +22,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import distributed, sampled, site_motion
 from linkplan.models.reduction.reduced import ReducedDynamics
+from linkplan.models.transfer.polytope import inverse_ratios
 from linkplan.models.tree.dynamics import site_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, reflected
 from linkplan.studies.output.document import Axis, Block, Plot, Table, Text, table_of
@@ -90,18 +91,21 @@ def site_statics(path: KinematicLoopPath, forces: Mapping[str, np.ndarray]) -> I
     hold = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
     stiffness = sampled(_stiffness(mechanism.dynamics), path.poses, path.holding_effort)
     names = [joint.name for joint in mechanism.independent_joints]
-    square = mechanism.n_u == mechanism.dof
+    back = inverse_ratios(path.ratio) if mechanism.n_u == mechanism.dof else None  # (n, n_u, n_s)
     for name in site_names(mechanism.model):
         k = int(mechanism.model.site(name).id)
         J = np.stack([rates[:, :, k] for rates in of_units], axis=2)  # (n, 3, n_s)
         J = np.where(np.abs(J) > ROUNDING_SHARE * np.abs(J).max(initial=0.0), J, 0.0)
-        back = _inverse(path.ratio) if square else None
         if back is not None:
             by, kinds = [actuator.name for actuator in mechanism.actuators], [a.unit for a in mechanism.actuators]
             rate = np.einsum("kas,kus->kua", J, back)
         else:
             by, kinds, rate = names, [joint.si_units[1] for joint in mechanism.independent_joints], J.transpose(0, 2, 1)
-        per_n, force = _balancing(path.ratio, J), forces.get(name)
+        # The efforts of least norm (n, n_u, 3) that balance a unit of force; NaN where none does.
+        per_n = unit_efforts(path.ratio) @ J.transpose(0, 2, 1)
+        missed, sizes = np.abs(path.ratio @ per_n - J.transpose(0, 2, 1)).max(axis=1), np.abs(J).max(axis=2)
+        per_n = np.where((missed <= 1e-9 * (sizes + sizes.max(initial=0.0)))[:, None, :], per_n, np.nan)
+        force = forces.get(name)
         further = {} if force is None else _under(path, J, hold, force)
         yield SiteStatics(
             path=path.title,
@@ -120,23 +124,6 @@ def site_statics(path: KinematicLoopPath, forces: Mapping[str, np.ndarray]) -> I
             stiffness_n_m=_stiffness_at(J, stiffness),
             **further,
         )
-
-
-def _inverse(ratio: np.ndarray) -> np.ndarray:
-    """Return r^-1 (n, n_u, n_s) at each pose, NaN where r is singular."""
-    found = np.full(ratio.transpose(0, 2, 1).shape, np.nan)
-    values = np.linalg.svd(ratio, compute_uv=False)
-    regular = values[:, -1] > ROUNDING_SHARE * values[:, 0]
-    found[regular] = np.linalg.inv(ratio[regular])
-    return found
-
-
-def _balancing(ratio: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """Return the efforts of least norm (n, n_u, 3) that balance a unit of force; NaN where none does."""
-    effort = unit_efforts(ratio) @ J.transpose(0, 2, 1)
-    missed = np.abs(ratio @ effort - J.transpose(0, 2, 1)).max(axis=1)
-    sizes = np.abs(J).max(axis=2)
-    return np.where((missed <= 1e-9 * (sizes + sizes.max(initial=0.0)))[:, None, :], effort, np.nan)
 
 
 def _pushes(path: KinematicLoopPath, J: np.ndarray, hold: np.ndarray, back: np.ndarray | None) -> np.ndarray:

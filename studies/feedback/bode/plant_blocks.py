@@ -97,7 +97,12 @@ class PlantStudy(MechanismResult, Struct, frozen=True, kw_only=True, eq=False):
     def blocks(self) -> list[Block]:
         """Return the verdict, the plant at every pose and the agreement with the measurement."""
         message = self.message[:1].upper() + self.message[1:]
-        rows = [("mechanism", self.mechanism_name), *_measured(self)]
+        rows = [("mechanism", self.mechanism_name)]
+        if (c := self.measurement) is not None:
+            text = agreement_text(c, "deviation_db", "deviation_deg", self.mechanism)
+            holders = dict.fromkeys(point.held_by for point in self.points if point.held_by)
+            held = ("nothing: it is stable by itself" if one == "itself" else BUILT_IN[one].words for one in holders)
+            rows += [("held by", ", ".join(held)), ("measured responses", text)]
         notes = [*plant_notes(self.points), *self.caveats, self.contacts, self.softness, self.note]
         said = [Text(text=note, tone="note") for note in notes if note]
         return [Text(text=message), Facts(rows=rows), *_tables(self), *said]
@@ -118,16 +123,6 @@ class PlantStudy(MechanismResult, Struct, frozen=True, kw_only=True, eq=False):
             Section(title="Frequency response", blocks=plots, depth=2),
         ]
         return report_of(f"Plant of {self.mechanism_name}", self.message, True, sections)
-
-
-def _measured(study: PlantStudy) -> list[tuple[str, str]]:
-    """Return what held the plant while it was measured, and the agreement with the prediction."""
-    if (c := study.measurement) is None:
-        return []
-    text = agreement_text(c, "deviation_db", "deviation_deg", study.mechanism)
-    holders = dict.fromkeys(point.held_by for point in study.points if point.held_by)
-    held = ", ".join("nothing: it is stable by itself" if one == "itself" else BUILT_IN[one].words for one in holders)
-    return [("held by", held), ("measured responses", text)]
 
 
 def _tables(study: PlantStudy) -> list[Table]:

@@ -90,7 +90,9 @@ def urdf_text(transfer: Transfer) -> str | None:
         return None
     root = ET.Element("robot", name=serial.mechanism.name)
     root.append(ET.Comment(" " + "; ".join(note.replace("--", "- -") for note in urdf_notes(transfer)) + " "))
-    names, shift = _link_names(model), np.zeros((model.nbody, 3))  # shift: a link's origin in its body
+    given = [model.body(k).name or (f"body_{k}" if k else "world") for k in range(model.nbody)]
+    names = [name if given.index(name) == k else f"{name}_{k}" for k, name in enumerate(given)]
+    shift = np.zeros((model.nbody, 3))  # a link's origin in its body
     limits = _limits(transfer)
     for body in range(model.nbody):
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
@@ -102,7 +104,12 @@ def urdf_text(transfer: Transfer) -> str | None:
         for place, joint in enumerate(joints):
             below = names[body] if place == len(joints) - 1 else f"{names[body]}_{place}"
             anchor = model.jnt_pos[joint]
-            pose = (anchor - before, np.array([1.0, 0, 0, 0])) if before is not None else _first(model, body, anchor, shift)
+            if before is not None:
+                pose = anchor - before, np.array([1.0, 0, 0, 0])
+            else:  # of the body's first joint in its parent's link
+                turned = np.zeros(3)
+                mujoco.mju_rotVecQuat(turned, anchor, model.body_quat[body])
+                pose = model.body_pos[body] + turned - shift[parent], model.body_quat[body]
             kind = _KINDS[mujoco.mjtJoint(model.jnt_type[joint])]
             element = _joint(root, joint_label(model, joint), kind, above, below, pose)
             if kind != "floating":
@@ -120,18 +127,6 @@ def urdf_text(transfer: Transfer) -> str | None:
 
 def _has_ball(model: mujoco.MjModel) -> bool:
     return bool(np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL))
-
-
-def _link_names(model: mujoco.MjModel) -> list[str]:
-    given = [model.body(k).name or (f"body_{k}" if k else "world") for k in range(model.nbody)]
-    return [name if given.index(name) == k else f"{name}_{k}" for k, name in enumerate(given)]
-
-
-def _first(model: mujoco.MjModel, body: int, anchor: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of a body's first joint in its parent's link."""
-    turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, anchor, model.body_quat[body])
-    return model.body_pos[body] + turned - shift[model.body_parentid[body]], model.body_quat[body]
 
 
 def _speeds(transfer: Transfer) -> np.ndarray:

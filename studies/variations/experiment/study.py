@@ -217,7 +217,10 @@ def conduct(
         experiment_of(made, settings)  # checked first, so that a refused experiment leaves no folder
         write_whole(folder / PLAN, lambda place: write_plan(made, place))
     folder = folder.resolve()
-    written = _hash_of(folder / PLAN)
+    digest = hashlib.sha256()
+    for place in (folder / PLAN / name for name in ("plan.json", "trajectory.npz")):
+        digest.update(read_file(place, f"'{place}'", MAX_FILE_BYTES, PlanFileError))
+    written = digest.hexdigest()
     experiment = replace(_opened(folder, settings, written), own=own)
     for line in unbatched_notes(experiment):
         say(line)
@@ -232,13 +235,6 @@ def _opened(folder: Path, settings: Settings, written: str) -> Experiment:
     """Return the experiment of a folder's plan. It is cached by the hash of the plan's files."""
     del written
     return experiment_of(read_plan(folder / PLAN, anyway=True), settings)
-
-
-def _hash_of(folder: Path) -> str:
-    digest = hashlib.sha256()
-    for name in ("plan.json", "trajectory.npz"):
-        digest.update(read_file(folder / name, f"'{folder / name}'", MAX_FILE_BYTES, PlanFileError))
-    return digest.hexdigest()
 
 
 def _work(
