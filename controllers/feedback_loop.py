@@ -114,8 +114,12 @@ def _freeze_failures(log: LoopLog, stepper: Stepper, k: int, failed: dict[int, B
     valid_state = (np.abs(log.pose[k]) < LARGEST_STATE).all(axis=1) & (np.abs(log.velocity[k]) < LARGEST_STATE).all(axis=1)
     lost = stepper.running & ~(valid_state & np.isfinite(log.commanded[k]).all(axis=1))
     for machine in np.flatnonzero(lost).tolist():
-        error = failed.get(machine)
-        reason = _failure_text(error) if error else "the tracker gave an effort that is not a number"
+        error, reason = failed.get(machine), "the tracker gave an effort that is not a number"
+        if error:  # in one line, with its type if it is of another library
+            cause = error.__cause__ or error
+            kind, text = type(cause).__name__, one_line(cause)
+            reason = text if isinstance(cause, LinkplanError) else f"{kind}: {text}" if text else kind
+            reason = f"the tracker failed: {reason}"
         log.failure[machine], log.error[machine] = (reason, error) if valid_state[machine] else (stepper.lost, None)
         log.done[machine] = k
     stepper.freeze(lost)
@@ -155,11 +159,3 @@ def _efforts(
     each = [_efforts(law, k, position[row], velocity[row], memory[row], n_u) for row in rows]
     failed = {i: raised[0] for i, (_, _, raised) in enumerate(each) if raised}
     return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each]), failed
-
-
-def _failure_text(error: BaseException) -> str:
-    """Return an error, or its cause, as one line; errors of other libraries with their type."""
-    error = error.__cause__ or error
-    kind, text = type(error).__name__, one_line(error)
-    words = text if isinstance(error, LinkplanError) else f"{kind}: {text}" if text else kind
-    return f"the tracker failed: {words}"

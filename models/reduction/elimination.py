@@ -150,20 +150,16 @@ def _rotated_determinant(A: ca.SX) -> ca.SX:
             return ca.SX(0)
         first = touching[0]
         for other in touching[1:]:
-            entries[first], entries[other] = _rotated(entries[first], entries[other], k)
+            top, low = entries[first], entries[other]
+            along = top[k] + 1e-100  # far below rounding, for poses at which both entries are zero
+            length = ca.sqrt(along**2 + low[k] ** 2)
+            c, s = along / length, low[k] / length
+            zero, both = ca.SX(0), top.keys() | low.keys()
+            entries[first] = {j: c * top.get(j, zero) + s * low.get(j, zero) for j in both}
+            entries[other] = {j: c * low.get(j, zero) - s * top.get(j, zero) for j in both - {k}}
         product *= entries[first][k]
         order.append(first)
     return product * _parity(order)
-
-
-def _rotated(first: dict[int, ca.SX], other: dict[int, ca.SX], k: int) -> tuple[dict[int, ca.SX], dict[int, ca.SX]]:
-    """Return two rotated rows, each as entries by column; the second one has no entry in column k."""
-    along = first[k] + 1e-100  # far below rounding, for poses at which both entries are zero
-    length = ca.sqrt(along**2 + other[k] ** 2)
-    c, s = along / length, other[k] / length
-    zero, columns = ca.SX(0), first.keys() | other.keys()
-    rotated = {j: c * first.get(j, zero) + s * other.get(j, zero) for j in columns}
-    return rotated, {j: c * other.get(j, zero) - s * first.get(j, zero) for j in columns - {k}}
 
 
 def _minor(A: ca.SX) -> ca.SX:

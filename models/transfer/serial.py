@@ -101,9 +101,12 @@ def _linkage_joints(outputs: OutputMap) -> list[str]:
     """
     mechanism, model = outputs.mechanism, outputs.mechanism.model
     columns = list(outputs.columns)
-    dragged = _dragged(outputs)
+    # The dependent coordinates that move with the outputs at some pose near home.
+    random, home = np.random.default_rng(0), mechanism.home
+    poses = [home, *(home + 1e-3 * random.normal(size=home.shape) for _ in range(3))]
+    rates = np.max([np.abs(np.array(mechanism.dynamics.velocity_map(q)))[:, columns] for q in poses], axis=(0, 2))
     joint_of = np.array(model.dof_jntid)
-    ids = {int(joint_of[i]) for i in dragged}
+    ids = {int(joint_of[i]) for i in mechanism.dependent if rates[i] > 1e-9 * rates.max()}
     bodies = {int(model.jnt_bodyid[j]) for j in ids}
     named = {int(joint_of[mechanism.independent[column]]) for column in columns}
     for dof in range(model.nv):
@@ -117,17 +120,6 @@ def _linkage_joints(outputs: OutputMap) -> list[str]:
             )
         ids.add(joint)
     return [model.joint(j).name for j in sorted(ids)]
-
-
-def _dragged(outputs: OutputMap) -> list[int]:
-    """Return the dependent coordinates that move with the outputs at some pose near home."""
-    mechanism = outputs.mechanism
-    random, home = np.random.default_rng(0), mechanism.home
-    poses = [home, *(home + 1e-3 * random.normal(size=home.shape) for _ in range(3))]
-    rates = np.max(
-        [np.abs(np.array(mechanism.dynamics.velocity_map(q)))[:, list(outputs.columns)] for q in poses], axis=(0, 2)
-    )
-    return [int(i) for i in mechanism.dependent if rates[i] > 1e-9 * rates.max()]
 
 
 def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjSpec:

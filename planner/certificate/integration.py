@@ -149,7 +149,13 @@ def integrate(
         until: deadline of the integration.
         rtol: relative error tolerance of the integration without restarts.
     """
-    trajectory, first = _cut_at_forces(mechanism, trajectory)
+    # Cut into intervals over which forces over time are cubics.
+    breaks, shares = trajectory.breaks_s, [np.array([0.0, 1.0])] * (len(trajectory.breaks_s) - 1)
+    times = np.zeros(0) if mechanism.forces is None else mechanism.forces.curve.inner_times(float(breaks[-1]))
+    for k in np.unique(np.searchsorted(breaks, times, side="right") - 1):
+        at = (times - breaks[k]) / (breaks[k + 1] - breaks[k])
+        shares[k] = np.concatenate([[0.0], at[(at > _CUT_SHARE) & (at < 1 - _CUT_SHARE)], [1.0]])
+    trajectory, first = _cut(trajectory, shares)
     found = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
     if not (np.all(found.position <= allowed) and found.velocity <= VELOCITY_SHARE):
         with contextlib.suppress(AssemblyError, OutOfTimeError):  # the motion is infeasible, or the deadline has passed
@@ -228,16 +234,6 @@ def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) 
         fastest = np.linalg.eigvals(slope).real.max()
         n = max(1, int(np.ceil(2.0 * width * fastest / np.log(RESTART_GROWTH))))
         shares.append(np.arange(n + 1) / n)
-    return _cut(trajectory, shares)
-
-
-def _cut_at_forces(mechanism: Mechanism, trajectory: Trajectory) -> tuple[Trajectory, np.ndarray]:
-    """Return a trajectory cut into intervals over which forces over time are cubics, and each old interval's first part."""
-    breaks, shares = trajectory.breaks_s, [np.array([0.0, 1.0])] * (len(trajectory.breaks_s) - 1)
-    times = np.zeros(0) if mechanism.forces is None else mechanism.forces.curve.inner_times(float(breaks[-1]))
-    for k in np.unique(np.searchsorted(breaks, times, side="right") - 1):
-        at = (times - breaks[k]) / (breaks[k + 1] - breaks[k])
-        shares[k] = np.concatenate([[0.0], at[(at > _CUT_SHARE) & (at < 1 - _CUT_SHARE)], [1.0]])
     return _cut(trajectory, shares)
 
 

@@ -226,33 +226,22 @@ def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
         _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
         reduced = np.array(gradient).ravel() + np.array(jacobian.T @ multipliers).ravel()
-        efforts = _wrong(_of_efforts(transcribed, reduced))
+        held, limit = transcribed.bang_efforts, transcribed.formulation.effort
+        side = np.where(held == limit[:, 1], -1.0, np.where(held == limit[:, 0], 1.0, 0.0))[mesh.segment]
+        efforts = _wrong(side * reduced[program.layout.effort()].sum(axis=1))
     if multipliers is not None and transcribed.constrained_paths is not None:
-        paths = _wrong(_of_paths(transcribed, multipliers))
+        of_paths, interval = path_multipliers(transcribed, multipliers), program.interval
+        second = np.array(interval.node_kinds[interval.n_equations :]) == _SECOND_ORDER
+        of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
+        np.add.at(of_arcs, mesh.segment, of_paths)
+        pushes = np.where(second, of_arcs[mesh.segment], of_paths)
+        paths = _wrong(transcribed.constrained_paths[mesh.segment] * pushes)
     return efforts, paths
 
 
 def _wrong(pushes: np.ndarray) -> np.ndarray:
-    """Return True (n, k) where a push is away from its limit, compared with the largest push."""
+    """Return True (n, k) where a push onto a limit is negative, away from it, compared with the largest push."""
     return pushes < -WRONG_SIGN_SHARE * np.abs(pushes).max(initial=np.finfo(float).tiny)
-
-
-def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
-    """Return the pushes of efforts onto their limits (n_intervals, n_u): negative if away from them, 0 if not held."""
-    segment, held = transcribed.program.mesh.segment, transcribed.bang_efforts
-    limit = transcribed.formulation.effort
-    side = np.where(held == limit[:, 1], -1.0, np.where(held == limit[:, 0], 1.0, 0.0))[segment]
-    return side * reduced[transcribed.program.layout.effort()].sum(axis=1)
-
-
-def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
-    """Return the pushes of path quantities onto their limits (n_intervals, n_path), with the same signs."""
-    mesh, interval = transcribed.program.mesh, transcribed.program.interval
-    of_paths = path_multipliers(transcribed, multipliers)
-    second = np.array(interval.node_kinds[interval.n_equations :]) == _SECOND_ORDER
-    of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
-    np.add.at(of_arcs, mesh.segment, of_paths)
-    return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)
 
 
 def path_multipliers(transcribed: Transcribed, multipliers: np.ndarray) -> np.ndarray:

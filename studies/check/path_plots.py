@@ -15,7 +15,6 @@ from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED, draw_plot
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.quantities import Quantity
 
 # With more coordinates, the paths of a page are collapsed, and the plots of a path show only its own coordinate.
 MAX_COORDINATES_DRAWN = 6
@@ -104,8 +103,11 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     many = mechanism.dof > MAX_COORDINATES_DRAWN
     shown = mechanism.channels if path.coordinate is None or not many else (path.coordinate,)
     drawn: dict[str, list[Line]] = {title: [] for title in PLOTS}
-    for quantity in QUANTITIES:
-        for curve in shown_curves(path, quantity, shown) if quantity.plot and _is_drawn(path, quantity) else ():
+    # The weight alone is drawn only where springs or constant forces hold, too.
+    rounding = ROUNDING_SHARE * max(np.abs(path.needed).max(initial=0.0), np.finfo(float).tiny)
+    alone = bool(np.abs(path.needed - path.gravity_effort).max() <= rounding)
+    for quantity in (one for one in QUANTITIES if one.plot and not (one is WEIGHT and alone)):
+        for curve in shown_curves(path, quantity, shown):
             name, values = quantity.line.format(*curve.names), curve.values[order]
             ends = {name: values} if values.ndim == 1 else {f"{name}, least": values[:, 0], f"{name}, most": values[:, 1]}
             drawn[quantity.plot] += [Line(name=key, values=x, unit=curve.unit) for key, x in ends.items()]
@@ -114,12 +116,6 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
         log = title in LOG_PLOTS and _spans_much(lines)
         found += plots(title, PLOTS[title], axis, x, lines, group=group, log=log, ends=None if log else inner_ends(lines))
     return found
-
-
-def _is_drawn(path: KinematicLoopPath, quantity: Quantity) -> bool:
-    """Tell if a plot has a quantity: the weight alone only where springs or constant forces hold, too."""
-    rounding = ROUNDING_SHARE * max(np.abs(path.needed).max(initial=0.0), np.finfo(float).tiny)
-    return quantity is not WEIGHT or bool(np.abs(path.needed - path.gravity_effort).max() > rounding)
 
 
 def _spans_much(lines: Sequence[Line]) -> bool:

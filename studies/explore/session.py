@@ -95,12 +95,8 @@ class Session:
             found.append(Slider(key="effort_percent", label="effort limits", unit="%", low=10.0, high=100.0, value=100.0))
         if problem.mechanism.payload is not None:
             found.append(_about("payload_kg", "payload", "kg", problem.mechanism.payload.mass_kg))
-        return [*found, *self._gain_sliders()]
-
-    def _gain_sliders(self) -> list[Slider]:
-        """Return the sliders of kp and kd, one for all joints or one for each; none for a gain of zero."""
-        joints, tracking, found = self.first.mechanism.independent_joints, self.first.tracking, []
-        for place, name in enumerate(("kp", "kd")):
+        joints, tracking = problem.mechanism.independent_joints, problem.tracking
+        for place, name in enumerate(("kp", "kd")):  # one for all joints or one for each; none for a gain of zero
             given = getattr(tracking, name)
             units = {joint.name: joint.gain_units[place] for joint in joints}
             shared = next(iter(units.values())) if len(set(units.values())) == 1 else ""

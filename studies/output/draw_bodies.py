@@ -13,7 +13,6 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import body_name, sticks, view
 from linkplan.models.poses.solids import body_frames, outline, solids, thickened
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.studies.output.bodies import named_pins
 from linkplan.studies.output.body_colours import PAYLOAD, body_colours, hex_of
@@ -150,8 +149,10 @@ def draw_sites(axes, plan: Plan) -> None:
         axes.plot(*(path @ flat).T, color=colour, label=f"path of {name}")
         axes.plot(*(path[:1] @ flat).T, color=colour, marker="o", linestyle="", label=f"{name} at the start")
         axes.plot(*(path[-1:] @ flat).T, color=colour, marker="s", linestyle="", label=f"{name} at the end")
-        via = _passed(plan.problem.motion, name, path) @ flat
-        if len(via):
+        points = [one for waypoint in plan.problem.motion.waypoints for one in waypoint.at if one.label == f"site {name}"]
+        if points:  # free coordinates are those of the nearest point of the path
+            nearest = [path[int(np.argmin([one.distance_m(p) for p in path]))] for one in points]
+            via = np.array([np.where(np.isnan(p.point), x, p.point) for p, x in zip(points, nearest, strict=True)]) @ flat
             axes.plot(*via.T, color=colour, marker="D", markerfacecolor="white", linestyle="", label=f"waypoints of {name}")
         limits = [limit for limit in plan.problem.limits.site if limit.site == name]
         _shade(axes, limits, (low, high), (right, up), path @ across, colour, name)
@@ -161,13 +162,6 @@ def draw_sites(axes, plan: Plan) -> None:
     axes.set_xlabel(f"{direction_name(right)} [m]")
     axes.set_ylabel(f"{direction_name(up)} [m]")
     outside_legend(axes)
-
-
-def _passed(motion: Motion, name: str, path: np.ndarray) -> np.ndarray:
-    """Return a site's waypoints (n, 3) [m]; free coordinates are those of the nearest point of its path (m, 3)."""
-    points = [point for waypoint in motion.waypoints for point in waypoint.at if point.label == f"site {name}"]
-    nearest = [path[int(np.argmin([point.distance_m(p) for p in path]))] for point in points]
-    return np.array([np.where(np.isnan(p.point), x, p.point) for p, x in zip(points, nearest, strict=True)]).reshape(-1, 3)
 
 
 def _shade(axes, limits: list[SiteLimit], frame, plane, depths: np.ndarray, colour: str, name: str) -> None:

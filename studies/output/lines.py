@@ -83,9 +83,11 @@ def plots(
             look = "points" if known.any() and not np.any(known[1:] & known[:-1]) else look  # values without neighbours
             width = line.width or (overlaid_width(k, len(of_it)) if covered else _USUAL_WIDTH)
             series.append(Series(name=name, y=y, look=look, colour=colour, width=width))
+        whole = len(of_it) == sum(line.unit == unit for line in lines)
+        part = "" if whole else f": {of_it[0].name} to {of_it[-1].name}"
         found.append(
             Plot(
-                title=_title(title, units, of_it, lines),
+                title=f"{title} [{unit}]{part}" if len(units) > 1 else f"{title}{part}",
                 group=group,
                 x_axis=x_axis,
                 y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
@@ -113,12 +115,6 @@ def _readable(units: Sequence[str], lines: Sequence[Line]) -> Iterator[tuple[str
         parts = -(-len(of_it) // _MAX_LINES_PER_PLOT)
         for k in range(parts):
             yield unit, of_it[k * len(of_it) // parts : (k + 1) * len(of_it) // parts]
-
-
-def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Sequence[Line]) -> str:
-    unit = drawn[0].unit
-    whole = len(drawn) == sum(line.unit == unit for line in lines)
-    return title + (f" [{unit}]" if len(units) > 1 else "") + ("" if whole else f": {drawn[0].name} to {drawn[-1].name}")
 
 
 def _limits(lines: Sequence[Line], values: np.ndarray) -> list[DrawnLimit]:

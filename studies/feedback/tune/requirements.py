@@ -118,17 +118,12 @@ def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
         found = margins(law.loop(point), channel)
     except LinkplanError:
         found = Margins(stable=False)
-    return JudgedLoop(**asdict(found), **_place(point, channel), point=point, channel=channel)
-
-
-def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
-    """Return the place of a loop: the position of a single joint, or the joint of the loop and all positions."""
     joints, channels = point.mechanism.independent_joints, list(point.mechanism.channels)
-    own = joints[channel]
+    own, at = joints[channel], shown_by_unit([joints[k] for k in channels], point.state[channels])
+    place: dict[str, Any] = {"joint": own.name, "position_deg": at["deg"], "position_m": at["m"]}
     if len(channels) == 1:
-        return {f"position_{own.unit}": own.shown(point.state[channels[0]])}
-    at = shown_by_unit([joints[k] for k in channels], point.state[channels])
-    return {"joint": own.name, "position_deg": at["deg"], "position_m": at["m"]}
+        place = {f"position_{own.unit}": own.shown(point.state[channels[0]])}
+    return JudgedLoop(**asdict(found), **place, point=point, channel=channel)
 
 
 def shortfall(found: Margins | QuickMargins, wanted: Requirements, timing: Sampling, reserve: float = 1.0) -> np.ndarray:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
@@ -97,23 +96,20 @@ def gains_by_motor(best: EvaluatedGains, mechanism: Mechanism) -> tuple[MotorGai
         if acts[:, o].sum() > 1:
             continue
         values = {"ratio": ratio[:, m, o], "kp": kp[:, m, m], "kd": kd[:, m, m]}
-        found.append(_of_motor(mechanism.actuators[m], joints[o], values))
+        one = bool(np.ptp(values["ratio"]) <= ROUNDING_SHARE * np.abs(values["ratio"]).max())
+        figures: dict[str, Any] = {name: float(x[0]) if one else None for name, x in values.items()}
+        for name, x in values.items():
+            figures[f"{name}_range"] = (float(x.min()), float(x.max())) if np.isfinite(x).all() else None
+        actuator, joint = mechanism.actuators[m], joints[o]
+        found.append(
+            MotorGains(
+                actuator=actuator.name,
+                joint=joint.name,
+                gear=actuator.gear,
+                units=gain_units_of(actuator.unit),
+                **figures,
+                values=values,
+                si_units=(actuator.si_units[0], joint.si_units[0]),
+            )
+        )
     return tuple(found)
-
-
-def _of_motor(actuator: Actuator, joint: Joint, values: dict[str, np.ndarray]) -> MotorGains:
-    """Return the gains of a motor from its `ratio`, `kp` and `kd` (n,)."""
-    ratio = values["ratio"]
-    one = bool(np.ptp(ratio) <= ROUNDING_SHARE * np.abs(ratio).max())
-    figures: dict[str, Any] = {name: float(x[0]) if one else None for name, x in values.items()}
-    for name, x in values.items():
-        figures[f"{name}_range"] = (float(x.min()), float(x.max())) if np.isfinite(x).all() else None
-    return MotorGains(
-        actuator=actuator.name,
-        joint=joint.name,
-        gear=actuator.gear,
-        units=gain_units_of(actuator.unit),
-        **figures,
-        values=values,
-        si_units=(actuator.si_units[0], joint.si_units[0]),
-    )
