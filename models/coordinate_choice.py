@@ -47,23 +47,15 @@ def choose_coordinates(
     rank = numerical_rank(jacobians[0], share)
     regular = [jacobian for jacobian in jacobians if numerical_rank(jacobian, share) == rank]
     rows = independent_rows(regular, rank, share)
-    named = _named(loop.name, joints, asked, len(joints) - rank)
+    named, dof = [index_of(loop.name, joints, joint) for joint in asked or ()], len(joints) - rank
+    if len(set(named)) < len(named) or len(named) > dof:
+        raise ModelError(
+            f"mechanism.independent has at most as many joints as '{loop.name}' has degrees of freedom ({dof}), and no joint"
+            f" twice; got {', '.join(asked or ())}"
+        )
     dependent = _dependent(joints, model, jacobians[0][rows], rank, actuators, named)
     independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
     return rows, independent, dependent
-
-
-def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
-    """Return the indices of the joints named as independent coordinates."""
-    if asked is None:
-        return []
-    named = [index_of(name, joints, joint) for joint in asked]
-    if len(set(named)) < len(named) or len(named) > dof:
-        raise ModelError(
-            f"mechanism.independent has at most as many joints as '{name}' has degrees of freedom ({dof}), and no joint"
-            f" twice; got {', '.join(asked)}"
-        )
-    return named
 
 
 def _dependent(joints, model, jacobian, rank: int, actuators, named: list[int]) -> np.ndarray:

@@ -107,7 +107,14 @@ def plant(
     model.dof_damping[:] += machine.viscous
     model.dof_frictionloss[:] += machine.coulomb
     make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
-    _set_loop_softness(model, machine)
+    if machine.loop_solref is not None:
+        least = _MIN_TIME_CONSTANT_STEPS * float(model.opt.timestep)
+        if machine.loop_solref[0] < least * (1 - 1e-9):
+            raise LinkplanError(
+                f"a loop constraint's time constant is at least {_MIN_TIME_CONSTANT_STEPS:g} simulator steps ({least:g} s),"
+                f" got {machine.loop_solref[0]:g} s"
+            )
+        model.eq_solref[:] = machine.loop_solref
     if machine.com_shift_m is not None or machine.length_factor:
         _change_geometry(model, data, machine)
     pose, rates = start_of(model, data, mechanism, reference, imperfect)
@@ -208,18 +215,6 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
             if model.jnt_actfrclimited[joint] and arm:
                 # The actuator's limit already accounts for the joint's limit.
                 model.jnt_actfrclimited[joint] = False
-
-
-def _set_loop_softness(model: mujoco.MjModel, machine: Machine) -> None:
-    if machine.loop_solref is None:
-        return
-    least = _MIN_TIME_CONSTANT_STEPS * float(model.opt.timestep)
-    if machine.loop_solref[0] < least * (1 - 1e-9):
-        raise LinkplanError(
-            f"a loop constraint's time constant is at least {_MIN_TIME_CONSTANT_STEPS:g} simulator steps ({least:g} s),"
-            f" got {machine.loop_solref[0]:g} s"
-        )
-    model.eq_solref[:] = machine.loop_solref
 
 
 def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:

@@ -166,7 +166,14 @@ def show(
         text = f"{result}\n"
     else:
         result = result() if callable(result) else result
-        document = result if getattr(arguments, "all", True) else _in_brief(result)
+        document = result
+        if not getattr(arguments, "all", True):
+            from linkplan.studies.output.document import Text
+            from linkplan.studies.output.text import in_brief
+
+            document = in_brief(result)
+            if len(document) < len(result) or any(short is not whole for short, whole in zip(document, result, strict=True)):
+                document = [*document, Text(text="this is a summary; --all prints every row", tone="note")]
         if is_terminal(sys.stdout):
             from linkplan.studies.output.terminal import drawn
 
@@ -176,17 +183,6 @@ def show(
 
             text = f"{text_of(document)}\n"
     arguments.lost = put(sys.stdout, text)
-
-
-def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
-    """Return a document with only its brief rows and, if rows were omitted, a note on the option that prints every row."""
-    from linkplan.studies.output.document import Text
-    from linkplan.studies.output.text import in_brief
-
-    few = in_brief(blocks)
-    if len(few) == len(blocks) and all(short is whole for short, whole in zip(few, blocks, strict=True)):
-        return few
-    return [*few, Text(text="this is a summary; --all prints every row", tone="note")]
 
 
 def quiet(arguments: argparse.Namespace) -> None:

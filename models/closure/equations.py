@@ -261,17 +261,12 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
     travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
     residual = _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None)
     kind, length, frame, scale, _ = _coupling("tendon", model, index, residual, [("m", 1.0)] * len(tendons))
-    yield kind, length, frame, scale, _moved_most(model, tendons[0] if scale == 1.0 else tendons[1])
-
-
-def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
-    """Return the unit of the joint with a fixed tendon's largest coefficient, and that; m and 1 for a spatial tendon."""
-    if not is_fixed(model, tendon):
-        return "m", 1.0
-    arms = tendon_joints(numeric(model), tendon)
-    dof = max(arms, key=lambda one: abs(arms[one]))
-    unit = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m"
-    return unit, abs(arms[dof]) or 1.0
+    moved, most = tendons[0] if scale == 1.0 else tendons[1], ("m", 1.0)
+    if is_fixed(model, moved):  # the unit of the joint with the largest coefficient, and that
+        arms = tendon_joints(numeric(model), moved)
+        dof = max(arms, key=lambda one: abs(arms[one]))
+        most = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m", abs(arms[dof]) or 1.0
+    yield kind, length, frame, scale, most
 
 
 _READERS = {CONNECT: _connect, WELD: _weld, JOINT: _joint, TENDON: _tendon}

@@ -39,18 +39,12 @@ class RenderSettings:
             raise ProblemError(
                 f"fps, frames per second of a {self.suffix}, must be from {least:g} to {most:g}, got {self.fps:g}"
             )
-        self._check_size()
-        self._check_instants()
-
-    def _check_size(self) -> None:
         smallest, largest = 64, 4096  # the largest pictures of OpenGL
         got = f"{self.size[0]}x{self.size[1]}"
         if not all(smallest <= side <= largest for side in self.size):
             raise ProblemError(f"size must be a width and a height from {smallest} to {largest} pixels, got {got}")
         if self.suffix == ".mp4" and any(side % 2 for side in self.size):
             raise ProblemError(f"an MP4's width and height must be even, got {got}")
-
-    def _check_instants(self) -> None:
         if self.suffix != ".png" and self.at_s is not None:
             raise ProblemError(f"at_s is for pictures (.png); the file ends in {self.suffix}")
         if self.suffix == ".png" and self.there_and_back:

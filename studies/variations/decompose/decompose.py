@@ -188,11 +188,16 @@ def _with(machine: Imperfections, names: frozenset[str]) -> Imperfections:
 
 def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
     """Return the errors on rigid loops at a very short period: with a completed feedforward, and with the tracker's own."""
+    if not isinstance(asked, str) and not isinstance(asked, type) and callable(getattr(asked, "effort", None)):
+        raise ProblemError(
+            "a decomposition also runs at a shorter control period: give a tracker's name, or a function of the sampled"
+            f" reference that returns a law, instead of a law for one reference; got {asked!r}"
+        )
     plan, coarse = experiment.plan, experiment.reference
     mechanism, T = plan.problem.mechanism, coarse.period_s
     limit = plan.problem.limits.actuators_effort
     fine = sample(mechanism, plan.require_motion("track"), T / _PERIOD_DIVISOR, coarse.n * T, limit)
-    law = _unlimited(_rebuilt(experiment, asked, fine))
+    law = _unlimited(build_tracker(asked, plan, fine))
     whole, found = completed(law, fine), []
     for one in (law,) if whole is law else (whole, law):
         runs = simulate(RigidPlant(mechanism=mechanism), one, fine)
@@ -200,15 +205,6 @@ def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
             (coarse.position_rad[:, None] - runs.pose[::_PERIOD_DIVISOR][:, :, mechanism.independent], runs.failure)
         )
     return [found[0], found[-1]]
-
-
-def _rebuilt(experiment: Experiment, asked: TrackerLike, reference: SampledReference) -> AnyTracker:
-    if not isinstance(asked, str) and not isinstance(asked, type) and callable(getattr(asked, "effort", None)):
-        raise ProblemError(
-            "a decomposition also runs at a shorter control period: give a tracker's name, or a function of the sampled"
-            f" reference that returns a law, instead of a law for one reference; got {asked!r}"
-        )
-    return build_tracker(asked, experiment.plan, reference)
 
 
 def completed(law: AnyTracker, reference: SampledReference) -> AnyTracker:

@@ -65,7 +65,13 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             except OSError as error:
                 raise PlanFileError(f"another process is using '{folder}'") from error
         held = True
-        _compare(folder, asked, what)
+        if (folder / ASKED).exists():
+            refuse_other(folder / ASKED, asked, f"'{folder}' has parts of {what} with other settings")
+        else:
+            others = (entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != ".")
+            if (stranger := next(others, None)) is not None:
+                raise PlanFileError(f"'{folder}' contains '{stranger}', which is not part of {what}; move it away")
+            replace_file(folder / ASKED, lambda place: write_json(place, asked))
         (folder / PARTS).mkdir(exist_ok=True)
         for place in (folder, folder / PARTS):
             sweep(place)
@@ -77,17 +83,6 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):
                 remove(folder)  # no task was finished
             os.close(lock)
-
-
-def _compare(folder: Path, asked: Mapping, what: str) -> None:
-    path = folder / ASKED
-    if not path.exists():
-        strangers = [entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != "."]
-        if strangers:
-            raise PlanFileError(f"'{folder}' contains '{strangers[0]}', which is not part of {what}; move it away")
-        replace_file(path, lambda place: write_json(place, asked))
-        return
-    refuse_other(path, asked, f"'{folder}' has parts of {what} with other settings")
 
 
 def refuse_other(path: Path, asked: Mapping, what: str) -> None:
