@@ -59,7 +59,7 @@ def effort_shapes(
         if kind == "line":
             thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
             ends = itertools.pairwise(at)
-            shapes += [RenderedShape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in ends]
+            shapes += tuple(RenderedShape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in ends)
         else:
             shapes += (_arc if kind == "arc" else _straight)(at, axis, share, size, towards)
     return shapes

@@ -104,9 +104,8 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
     """Return the header: conventions, units, and the declaration of every function; `about` are additional lines."""
     mechanism, upper = code.mechanism, code.prefix.upper()
     joints = [f"  q[{k}] {joint.name} [{joint.si_units[0]}]" for k, joint in enumerate(mechanism.joints)]
-    spins = dict.fromkeys(
-        np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)), ", spins freely: any constant works"
-    )
+    spinning = np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)).tolist()
+    spins = dict.fromkeys(spinning, ", spins freely: any constant works")
     joints += [
         f"  s[{k}] {joint.name} [{joint.si_units[0]}], effort [{joint.si_units[1]}]{spins.get(k, '')}"
         for k, joint in enumerate(mechanism.independent_joints)
