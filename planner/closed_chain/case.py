@@ -118,15 +118,12 @@ class MechanismCase:
         )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
-        """Return the case with limits tightened by the amounts that the motion overran.
-
-        Limits without tightenable rows are tightened in its problem, by 1.1 times the overrun.
-        """
+        """Return the case with limits tightened by the amounts that the motion overran."""
         further = tightenings_of(certificate.margins, motion.breaks_s)
         further = evened(further) if self.enclosed else further
         everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
         problem = self.problem
-        for margin in certificate.margins:
+        for margin in certificate.margins:  # limits without tightenable rows, by 1.1 times the overrun
             by = margin.of.facts.tightened
             if by is Tightened.IN_PROBLEM or (everywhere and by is Tightened.LATER_IN_PROBLEM):
                 problem = tightened_in(problem, margin, 1.1, _LEAST_TIGHTENING)
