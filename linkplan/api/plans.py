@@ -183,8 +183,10 @@ def read_plan(
     anyway: bool = False,
     extra_costs: Sequence[ExtraCost] = (),
     extra_limits: Sequence[ExtraLimit] = (),
-) -> Plan:
+) -> Plan | PhasedPlan:
     """Return a saved plan, with its problem built again and a new certificate of the saved motion.
+
+    A plan in phases has one of each phase.
 
     Args:
         folder: of the plan.
@@ -204,6 +206,8 @@ def read_plan(
     """
     check_flags(anyway=anyway)
     folder = path_of(folder, "folder")
+    if (folder / f"{PhasedPlan.record_name}.json").is_file():
+        return PhasedPlan.read(folder)
     answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
     note = plan_folder.unchecked(folder)
     if note is not None:

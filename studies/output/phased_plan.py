@@ -6,15 +6,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 
+from linkplan.models.errors import PlanError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import closure_rows_along
 from linkplan.models.poses.whole_body import centre_of_mass
+from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.structs import Beside
 from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan import phased
+from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import Verdict
 from linkplan.studies.output.animation import animation, frames_of
@@ -65,7 +68,18 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
     phases: tuple[PhaseRow, ...]
     junctions: tuple[phased.Junction, ...]
     body: phased.PhaseQuantities | None
-    plans: Beside[tuple[Plan, ...]]
+    plans: Beside[tuple[Plan, ...]] = ()
+
+    @classmethod
+    def read(cls, folder: Path) -> PhasedPlan:
+        """Return a saved plan in phases; the motion of each phase is certified again.
+
+        Raises:
+            LinkplanError: if the folder or a file in it is missing or damaged, or a motion does not pass.
+        """
+        saved = read_record(folder / f"{cls.record_name}.json", cls)
+        plans = [read_plan(folder / f"{k + 1}-{phase.name}") for k, phase in enumerate(saved.phases)]
+        return structs.replace(saved, plans=tuple(plans))
 
     @classmethod
     def of(cls, found: phased.PhasedPlan) -> PhasedPlan:
@@ -109,6 +123,16 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
     def message(self) -> str:
         """The verdict in a sentence."""
         return self.verdict.sentence
+
+    def require(self) -> PhasedPlan:
+        """Return this plan if every phase is certified.
+
+        Raises:
+            PlanError: otherwise, with the plan as `.plan`.
+        """
+        if not self.passed:
+            raise PlanError(self.message, self)
+        return self
 
     def __repr__(self) -> str:
         return f"PhasedPlan({self.problem!r}: {self.message})"
