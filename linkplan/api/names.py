@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 DESIGNS = ("latin-hypercube", "grid")
-FILE_KINDS = ("problem", "batch", "motors")
+FILE_KINDS = ("problem", "phases", "batch", "motors")
 # The shells for which completion scripts exist.
 SHELLS = ("bash", "zsh", "fish")
 # Keys of [mechanism] that select a part of a model.
@@ -69,7 +69,7 @@ def schema(file: FileKind = "problem", path: str | Path | None = None) -> dict:
     """Return the JSON Schema of problem files, of batch files or of lists of motors, for completion in editors.
 
     Args:
-        file: "problem", "batch" or "motors".
+        file: "problem", "phases", "batch" or "motors".
         path: the JSON file to write the schema into; an older schema of linkplan's is replaced.
 
     Raises:

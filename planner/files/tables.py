@@ -162,7 +162,8 @@ def set_key(tables: Tables, key: str, value: object) -> None:
         if depth == 1 and path[0] == "parameters" and isinstance(child, int | float):
             child = node[part] = {"value": child}
         if not isinstance(child, dict):
-            raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
+            what = "a list, whose entries only the file sets" if isinstance(child, list) else "a value, not a table"
+            raise ProblemError(f"setting '{key}': '{'.'.join(path[: depth + 1])}' is {what}")
         node = child
     if value is None:
         node.pop(path[-1], None)

@@ -24,10 +24,10 @@ from linkplan.planner.problem.keys.phases import PhaseSection as Phase
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.settings import joint_values, to_toml_types
 
-# The tables that a phase's problem has from the whole file.
 # Sites that touch down may be below the ground by this share of the mechanism's size: a wall exactly where a phase ends
 # would leave a solver no room.
 _DEPTH_SHARE = 1e-4
+# The tables that a phase's problem has from the whole file.
 _COMMON = ("motors", "mesh", "solver", "tracking", "output")
 
 
@@ -58,15 +58,55 @@ class PhasedProblem:
         for name in names:
             if names.count(name) > 1:
                 raise ProblemError(f"two phases have the name '{name}'")
-        for k, phase in enumerate(self.phases):
-            for contact in (*phase.on, *phase.at):
-                choose(f"contact of phases[{k}].on", contact, self.sections.contacts, ProblemError)
-            for contact in phase.at:
-                if contact not in phase.on:
-                    raise ProblemError(f"phases[{k}].at names contact {contact}, which is not in phases[{k}].on")
-        for key in ("mirror", "distance_m", "speed_m_s"):
-            if getattr(self.sections.motion, key) and not self.sections.motion.repeat:
+        for name, contact in self.sections.contacts.items():
+            if not contact.site:
+                raise ProblemError(f"contacts.{name}.site needs at least one site, got none")
+        for k in range(len(self.phases)):
+            self._check_contacts(k)
+            self._check_joint_values(k)
+        self._check_whole()
+
+    def _check_contacts(self, k: int) -> None:
+        """Refuse unknown contacts of a phase, and a site that stands twice."""
+        phase, standing = self.phases[k], dict[str, str]()
+        for contact in (*phase.on, *phase.at):
+            choose(f"contact of phases[{k}].on", contact, self.sections.contacts, ProblemError)
+        for contact in phase.at:
+            if contact not in phase.on:
+                raise ProblemError(f"phases[{k}].at names contact {contact}, which is not in phases[{k}].on")
+        for contact in phase.on:
+            for site in self.sites_of(contact):
+                if site in standing:
+                    raise ProblemError(f"phases[{k}].on: site '{site}' stands twice, by {standing[site]} and by {contact}")
+                standing[site] = contact
+
+    def _check_joint_values(self, k: int) -> None:
+        """Refuse a position at the end of a phase other than at the start of the next."""
+        for unit in ("deg", "m") if k + 1 < len(self.phases) else ():
+            end, start = getattr(self.phases[k], f"goal_{unit}"), getattr(self.phases[k + 1], f"start_{unit}")
+            for joint in end.keys() & start.keys():
+                if end[joint] != start[joint]:
+                    raise ProblemError(
+                        f"joint '{joint}' is at one place where phase {self.phases[k].name} ends and the next begins, got "
+                        f"phases[{k}].goal_{unit} = {end[joint]:g} and phases[{k + 1}].start_{unit} = {start[joint]:g}"
+                    )
+
+    def _check_whole(self) -> None:
+        """Refuse keys of the whole motion that exclude one another."""
+        motion, objective = self.sections.motion, self.sections.objective
+        for key, given in motion.to_dict().items():
+            if key in ("mirror", "distance_m", "speed_m_s") and given not in (None, {}) and not motion.repeat:
                 raise ProblemError(f"motion.{key} belongs to a gait: set motion.repeat = true")
+        asked = objective.to_dict()
+        if "minimize" in asked and "maximize" in asked:
+            raise ProblemError("objective.minimize and objective.maximize are two objectives; keep one")
+        if objective.maximize is not None and not any(asked["maximize"].values()):
+            raise ProblemError("objective.maximize must have com_height, distance or both, got neither")
+        known = [float(phase.duration_s) for phase in self.phases if phase.duration_s != "free"]
+        if motion.duration_s != "free" and sum(known) > float(motion.duration_s):
+            raise ProblemError(
+                f"motion.duration_s must be at least the {sum(known):g} s of phases, got {motion.duration_s:g}"
+            )
 
     @classmethod
     def from_file(cls, path: str | Path, settings: Mapping[str, object] | None = None) -> PhasedProblem:
@@ -155,7 +195,16 @@ class PhasedProblem:
         `what` is start, goal, start_speed_s or goal_speed_s.
         """
         shown = joint_values(self.phases[k], what, f"phases[{k}]", mechanism)
-        return {index: mechanism.joints[index].read(value) for index, value in shown.items()}
+        found = {index: mechanism.joints[index].read(value) for index, value in shown.items()}
+        for index, value in found.items() if what in ("start", "goal") else ():
+            joint = mechanism.joints[index]
+            if not joint.lower <= value <= joint.upper:
+                low, high = joint.text(joint.lower, 6), joint.text(joint.upper, 6)
+                raise ProblemError(
+                    f"phases[{k}].{what}_{joint.unit}.{joint.name} must be within the joint's range from {low} to {high} "
+                    f"{joint.unit}, got {joint.text(value, 6)}"
+                )
+        return found
 
     def problem_tables(
         self,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, choose
 from linkplan.models.ground import ground_of
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.whole_body import centre_of_mass, ground_slides
@@ -52,6 +52,9 @@ def phase_poses(asked: PhasedProblem, extended: bool = True) -> PhasePoses:
     n = len(asked.phases)
     bare = _bare(asked)
     slides = ground_slides(bare[0])
+    for key in ("distance_m", "speed_m_s") if not slides else ():
+        if getattr(asked.sections.motion, key) is not None:
+            raise ProblemError(f"motion.{key} needs a base that slides along the ground; mechanism {bare[0].name} has none")
     ground = {name: ground_of(bare[0].model, one.plane) for name, one in asked.sections.contacts.items()}
     finder = _Finder(asked, bare, ground)
     sliding = [_slides(asked, k, slides) for k in range(n)]
@@ -154,6 +157,9 @@ class _Finder:
         self._asked, self._bare, self._ground = asked, bare, ground
         self._first = bare[0]
         self._sites = {self._first.model.site(s).name: s for s in range(self._first.model.nsite)}
+        for contact in asked.sections.contacts:
+            for site in asked.sites_of(contact):
+                choose(f"site in contacts.{contact}.site", site, [name for name in self._sites if name], ProblemError)
         self._unit = unit_steps(self._first.joints, self._first.extent_m)
 
     def place(self, site: str, q: np.ndarray) -> np.ndarray:

@@ -93,10 +93,17 @@ def problem_between(
     mechanism: Mechanism | None = None,
     **options: Any,
 ) -> Problem:
-    """Return the problem of a phase between two closed poses (2, n_q); the arguments are those of its tables."""
+    """Return the problem of a phase between two closed poses (2, n_q); the arguments are those of its tables.
+
+    Raises:
+        ProblemError: with the name of the phase.
+    """
     mechanism = mechanism or asked.mechanism(k, stand)
     tables = asked.problem_tables(k, stand, ends, mechanism, **options)
-    return Problem.from_tables(f"{asked.name}-{asked.phases[k].name}", tables, asked.folder, mechanism)
+    try:
+        return Problem.from_tables(f"{asked.name}-{asked.phases[k].name}", tables, asked.folder, mechanism)
+    except ProblemError as error:
+        raise ProblemError(f"phase {asked.phases[k].name}: {error}") from error
 
 
 def _ends(asked: PhasedProblem, k: int, mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""All keys of a problem file as one table, and of problem, batch and motors files as a JSON Schema (draft 2020-12).
+"""All keys of a problem file as one table, and of files of each kind as a JSON Schema (draft 2020-12).
 
 New problem files take the comments on their keys from the table. Editors complete and check files with the schema.
 """
@@ -13,12 +13,13 @@ import msgspec
 from linkplan.planner.problem.keys.kinds import MAX_NUMBER
 from linkplan.planner.problem.keys.limits import SITE_LIMITS
 from linkplan.planner.problem.keys.motor_list import MotorsFile
+from linkplan.planner.problem.keys.phases import PhasedFile
 from linkplan.planner.problem.keys.reading import range_words, without_metadata, words
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.keys.sections import BatchFile, ProblemFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-FILES: dict[str, type[Section]] = {"problem": ProblemFile, "batch": BatchFile, "motors": MotorsFile}
+FILES: dict[str, type[Section]] = {"problem": ProblemFile, "phases": PhasedFile, "batch": BatchFile, "motors": MotorsFile}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -92,7 +93,7 @@ def _range(kind: Any) -> str:
 
 
 def json_schema(file: str = "problem") -> dict[str, Any]:
-    """Return the JSON Schema of a problem file, of a batch file ("batch") or of a list of motors ("motors").
+    """Return the JSON Schema of a kind of file in `FILES`: a problem, one with phases, a batch or a list of motors.
 
     A schema cannot express everything. Only the reader checks names of joints, actuators, closures, sites and bodies, low <
     high, and combinations of keys.

@@ -9,6 +9,7 @@ from linkplan.planner.problem.keys.limits import LimitsSection
 from linkplan.planner.problem.keys.motion import WaypointSection
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
 from linkplan.planner.problem.keys.sections import (
+    FOLDER_NAME,
     MechanismSection,
     MeshSection,
     MotorTable,
@@ -21,6 +22,7 @@ from linkplan.planner.problem.keys.sections import (
 _CONTACTS = Meta(extra={"said": "a list of names in [contacts]"})
 _PHASES = Meta(min_length=1, max_length=50, extra={"said": "a list of tables ([[phases]])", "numbered": True})
 _SITES = Meta(extra={"said": "a site, or a list of sites of one body"})
+_MIRROR = Meta(extra={"of": "joint = joint"})
 # What a motion with phases can maximise, and where: of the body's centre of mass.
 Highest = Literal["apex", "end"]
 Furthest = Literal["end"]
@@ -37,7 +39,7 @@ class ContactSection(Section, frozen=True):
 class PhaseSection(Section, frozen=True):
     """A part of a motion with its own contacts. States that are not given are those of its neighbours."""
 
-    name: str = required("a word that names the phase")
+    name: Annotated[str, FOLDER_NAME] = required("a word that names the phase")
     on: Annotated[list[str], _CONTACTS] = key("the contacts that stand on the ground", otherwise="none", default=[])
     at: kinds.Points = by_name("the places on which contacts stand from this phase on", "m", "where they touch down")
     open: kinds.Closures = key("closures of the model that are switched off", otherwise="none", default=[])
@@ -65,7 +67,9 @@ class PhasedMotionSection(Section, frozen=True):
 
     duration_s: kinds.Duration | kinds.Free = key("the duration of all phases", "s", default="free")
     repeat: bool = key("whether the last phase leads to the first: a gait", otherwise="false", default=False)
-    mirror: dict[str, str] = by_name("joints that exchange their parts with every repetition", "", "none")
+    mirror: Annotated[dict[str, str], _MIRROR] = by_name(
+        "joints that exchange their parts with every repetition", "", "none"
+    )
     distance_m: kinds.Number = key("how far a repetition moves the base along the ground", "m", "free")
     speed_m_s: kinds.Number = key("the distance over the duration", "m/s", "free")
 
@@ -89,7 +93,9 @@ class PhasedFile(Section, frozen=True, kw_only=True):
 
     description: str = key("the problem in a sentence", otherwise="none", default="")
     mechanism: MechanismSection = required("the machine, without contacts")
-    contacts: dict[str, ContactSection] = by_name("the contacts by name", "", "none")
+    contacts: Annotated[dict[str, ContactSection], Meta(extra={"of": "name = its contact"})] = by_name(
+        "the contacts by name", "", "none"
+    )
     phases: Annotated[list[PhaseSection], _PHASES] = required("the phases in order")
     motion: PhasedMotionSection = key("the whole motion", default=PhasedMotionSection())
     objective: PhasedObjectiveSection = key("what to minimise or maximise", default=PhasedObjectiveSection())

@@ -17,9 +17,9 @@ from linkplan.planner.problem.keys.limits import LimitsSection, MotorTable, Robu
 from linkplan.planner.problem.keys.motion import ForceTable, MotionSection, PathTable, ReferenceTable
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
 
-# Each case has a folder with its name, next to the JSON records of results. So names have no separators, wildcards or
-# unprintable characters, and do not end in .json.
-_FOLDER_NAME = Meta(
+# Each case and phase has a folder with its name, next to the JSON records of results. So names have no separators,
+# wildcards or unprintable characters, and do not end in .json.
+FOLDER_NAME = Meta(
     pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
     max_length=99,
     extra={"said": "a word that can name a folder, without .json at its end"},
@@ -274,7 +274,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
 class CaseSection(Section, frozen=True):
     """One problem of a batch."""
 
-    name: Annotated[str, _FOLDER_NAME] = key("names its folder", otherwise="its number", default="")
+    name: Annotated[str, FOLDER_NAME] = key("names its folder", otherwise="its number", default="")
     set: kinds.Settings = key('settings on the problem, "section.key=value"', otherwise="none", default=[])
 
 
