@@ -148,7 +148,9 @@ def _solved(
     """
     if of.solver.deadline.passed:
         return None
-    progress(f"{ways[0].what}: {len(ways)} phases, {sum(way.mesh.n_intervals for way in ways)} intervals")
+    progress(
+        f"{ways[0].what}: {len(ways)} {'phase' if len(ways) == 1 else 'phases'}, {sum(way.mesh.n_intervals for way in ways)} intervals"
+    )
     try:
         parts = [
             way.case.transcribe(guess, way.mesh, way.durations, position_rows=along)

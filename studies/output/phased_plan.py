@@ -158,6 +158,7 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         """Return the facts on the whole motion."""
         body, moved = self.body, self.body.distance_m
         rise = body.apex_m - body.com_start_m[2]
+        rise = rise if abs(rise) > 1e-9 else 0.0
         facts = [("duration", f"{self.duration_s:.9g} s")] if self.duration_s is not None else []
         if self.objective is not None:
             facts.append(("objective", f"{self.objective:.10g}"))

@@ -150,11 +150,11 @@ def _read(block: Block) -> None:
     """Read a file that a page shows as linkplan reads it, and write it where the page names it."""
     if block.kind == "xml":
         linkplan.load_mechanism(block.text)
-    elif whole := block.marks.get("part of"):
-        tables = tomllib.loads(Path(whole).read_text(encoding="utf-8"))
+    elif of := block.marks.get("part of"):
+        tables = tomllib.loads(Path(of).read_text(encoding="utf-8"))
         for name, table in tomllib.loads(block.text).items():
             tables[name] = tables.get(name, {}) | table
-        Problem.from_tables(Path(whole).stem, tables, Path.cwd())
+        Problem.from_tables(Path(of).stem, tables, Path.cwd())
     name = block.marks.get("file")
     if name or block.kind == "toml":
         place = Path(name or "a-block-without-a-name.toml")
@@ -162,7 +162,8 @@ def _read(block: Block) -> None:
             place.write_text(block.text, encoding="utf-8")
         if block.kind == "toml" and "part of" not in block.marks:
             tables = tomllib.loads(block.text)
-            reader = read_batch if "sweep" in tables or "case" in tables else linkplan.Problem.from_file
+            whole = linkplan.PhasedProblem if "phases" in tables else linkplan.Problem
+            reader = read_batch if "sweep" in tables or "case" in tables else whole.from_file
             (read_motors if "motor" in tables else reader)(place)
 
 

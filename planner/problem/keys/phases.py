@@ -58,7 +58,11 @@ class PhaseSection(Section, frozen=True):
         "the payload in this phase", otherwise="the mechanism's"
     )
     waypoints: list[WaypointSection] = key("states that it passes", otherwise="none", default=[])
-    limits: LimitsSection = key("limits in this phase, in place of those of the whole motion", default=LimitsSection())
+    limits: LimitsSection = key(
+        "limits in this phase, key by key in place of those of the whole motion",
+        otherwise="those of the whole",
+        default=LimitsSection(),
+    )
     weight: kinds.Weight = key("the factor on its part of the objective", default=1.0)
 
 
@@ -77,8 +81,10 @@ class PhasedMotionSection(Section, frozen=True):
 class MaximizeSection(Section, frozen=True):
     """What a motion with phases maximises, of the centre of mass of all bodies."""
 
-    com_height: Highest = key("its height at the apex of the flight after the last phase, or at the end", "m", "not")
-    distance: Furthest = key("its distance along the ground at the end", "m", "not")
+    com_height: Highest = key(
+        "its height at the apex of the flight after the last phase, or at the end", "m", "not maximised"
+    )
+    distance: Furthest = key("its distance along the ground at the end", "m", "not maximised")
 
 
 class PhasedObjectiveSection(Section, frozen=True):
@@ -97,8 +103,10 @@ class PhasedFile(Section, frozen=True, kw_only=True):
         "the contacts by name", "", "none"
     )
     phases: Annotated[list[PhaseSection], _PHASES] = required("the phases in order")
-    motion: PhasedMotionSection = key("the whole motion", default=PhasedMotionSection())
-    objective: PhasedObjectiveSection = key("what to minimise or maximise", default=PhasedObjectiveSection())
+    motion: PhasedMotionSection = key("the whole motion", otherwise="free", default=PhasedMotionSection())
+    objective: PhasedObjectiveSection = key(
+        "what to minimise or maximise", otherwise="effort", default=PhasedObjectiveSection()
+    )
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
     motors: Annotated[dict[str, MotorTable], Meta(extra={"of": "actuator = its motor"})] = by_name(
         "the motor behind an actuator, by the actuator's name", otherwise="unknown"

@@ -18,6 +18,7 @@ from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_tex
 from linkplan.planner.problem.keys.key_table import json_schema, key_table
 from linkplan.planner.problem.keys.kinds import Term
 from linkplan.planner.problem.keys.motion import MotionSection
+from linkplan.planner.problem.keys.phases import PhasedFile
 from linkplan.planner.problem.keys.reading import KEYS, kind_of
 from linkplan.planner.problem.keys.sections import ProblemFile
 from linkplan.planner.problem.objective import TERMS
@@ -203,8 +204,15 @@ def test_units_words_and_defaults_are_said():
 
 
 def test_every_key_of_the_table_is_described_and_has_a_default_where_it_may_be_left_out():
-    rows = key_table()
-    assert {row.section for row in rows} >= {"", "motion", "motion.waypoints[]", "motors.NAME", "mechanism.payload"}
+    rows = (*key_table(), *key_table(PhasedFile))
+    assert {row.section for row in rows} >= {
+        "",
+        "motion",
+        "motion.waypoints[]",
+        "motors.NAME",
+        "mechanism.payload",
+        "phases[]",
+    }
     for row in rows:
         assert row.doc, row.name
         assert row.type, row.name
@@ -213,12 +221,14 @@ def test_every_key_of_the_table_is_described_and_has_a_default_where_it_may_be_l
 
 
 def test_every_key_stands_in_the_documents_itself_or_as_its_twin_or_along_x():
-    pages = "".join((DOCS.parent / f"{name}.md").read_text(encoding="utf-8") for name in ("mechanisms", "experiments"))
+    pages = "".join(
+        (DOCS.parent / f"{name}.md").read_text(encoding="utf-8") for name in ("mechanisms", "experiments", "phases")
+    )
     named = set(re.findall(r"\w+", DOCS.read_text(encoding="utf-8") + pages))
     twins = {re.sub("_deg", "_m", name) for name in named} | {
         re.sub("_x_", axis, name) for name in named for axis in ("_y_", "_z_")
     }
-    assert not {row.name for row in key_table()} - named - twins
+    assert not {row.name for kind in (ProblemFile, PhasedFile) for row in key_table(kind)} - named - twins
 
 
 def test_the_table_s_defaults_are_what_the_reader_puts_in():
