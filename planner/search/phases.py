@@ -148,9 +148,8 @@ def _solved(
     """
     if of.solver.deadline.passed:
         return None
-    progress(
-        f"{ways[0].what}: {len(ways)} {'phase' if len(ways) == 1 else 'phases'}, {sum(way.mesh.n_intervals for way in ways)} intervals"
-    )
+    several = f"{len(ways)} phase{'s'[: len(ways) - 1]}"
+    progress(f"{ways[0].what}: {several}, {sum(way.mesh.n_intervals for way in ways)} intervals")
     try:
         parts = [
             way.case.transcribe(guess, way.mesh, way.durations, position_rows=along)

@@ -14,7 +14,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import closure_rows_along
 from linkplan.models.poses.whole_body import centre_of_mass
 from linkplan.planner.files.manifest import read_record
-from linkplan.planner.files.structs import Beside
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan import phased
 from linkplan.planner.plan.folder import read_plan
@@ -68,7 +68,7 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
     phases: tuple[PhaseRow, ...]
     junctions: tuple[phased.Junction, ...]
     body: phased.PhaseQuantities | None
-    plans: Beside[tuple[Plan, ...]] = ()
+    plans: Beside[tuple[Plan, ...]] = NOT_READ
 
     @classmethod
     def read(cls, folder: Path) -> PhasedPlan:

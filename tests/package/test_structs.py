@@ -23,9 +23,14 @@ LOCKED = """<mujoco><worldbody><body name="b"><joint axis="0 1 0"/><geom size=".
 # One does, and one is too weak.
 MOTORS = [{"name": "M", "peak_effort": 90.0, "rms_effort": 60.0, "rotor_inertia": 1e-3}, {"name": "N", "peak_effort": 1.0}]
 # Results of every kind, with the optional parts of their structs.
+TURN = {"goal_deg": {"O": 60.0}}
 MADE = {
     "check": ("WholeCheck", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
     "check of a locked model": ("RefusedModel", lambda _: linkplan.check(LOCKED)),
+    "plan in phases": (
+        "PhasedPlan",
+        lambda _: linkplan.plan(linkplan.Problem.phases("slider-crank", [linkplan.Phase("turn", duration_s=0.5, **TURN)])),
+    ),
     "track": ("TrackingResult", lambda plan: linkplan.track(plan, "lqr")),
     "compare": ("TrackingResult", lambda plan: linkplan.compare(plan, ["pd", "lqr"])),
     "bode": ("BodeStudy", lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, measure=False, **AT_REST)),
