@@ -198,8 +198,7 @@ class _Sweep:
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval, and return the branch at its end."""
         asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
-        n = 2**self.depth  # boxes of the interval, in reversed order of time
-        stack = [_Box(centre=(k + 0.5) / n, radius=0.5 / n, halvings=self.depth, claims=asked) for k in reversed(range(n))]
+        stack = _boxes(self.depth, asked)
         coarsest = _MAX_HALVINGS
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
@@ -298,6 +297,12 @@ class _Sweep:
         """Return the findings of all claims, the closure first."""
         of_claims = (finding_of_claim(c, r) for c, r in zip(self.claims, self.records, strict=True))
         return [*_closure_findings(self), *of_claims]
+
+
+def _boxes(halvings: int, claims: list[int]) -> list[_Box]:
+    """Return the boxes of an interval after a number of halvings, in reversed order of time."""
+    n = 2**halvings
+    return [_Box(centre=(k + 0.5) / n, radius=0.5 / n, halvings=halvings, claims=claims) for k in reversed(range(n))]
 
 
 def states_of(

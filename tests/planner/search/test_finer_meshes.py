@@ -192,8 +192,8 @@ def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
         seen.append(overrun)
         return replace(kept.at, certificate=certificate)
 
-    monkeypatch.setattr(finer_meshes, "_repaired", unsound)
-    monkeypatch.setattr(finer_meshes, "_SETTLED_CHANGE", 0.0)  # so several meshes have a motion that passes
+    monkeypatch.setattr(finer_meshes, "repaired", unsound)
+    monkeypatch.setattr(finer_meshes, "SETTLED_CHANGE", 0.0)  # so several meshes have a motion that passes
     found = refined(straight_arm("radau-3", duration_s=0.5, minimize="effort"), 0.5)
     assert len(seen) > 1
     assert found.certificate.effort_overrun.max() == min(seen)
@@ -222,14 +222,14 @@ def test_a_least_time_whose_mesh_needs_a_little_more_effort_is_answered_by_a_sli
 
 
 def test_what_a_correction_costs_is_reported_as_a_change_on_a_finer_mesh(monkeypatch):
-    repaired = finer_meshes._repaired
+    repaired = finer_meshes.repaired
 
     def dearer(kept):
         at = repaired(kept)
         solution = replace(at.found.solution, objective=1.002 * at.found.solution.objective)
         return replace(at, found=replace(at.found, solution=solution))
 
-    monkeypatch.setattr(finer_meshes, "_repaired", dearer)
+    monkeypatch.setattr(finer_meshes, "repaired", dearer)
     plan = plan_motion(straight_arm("radau-3", duration_s=0.5, minimize="effort"))
     assert "on a finer mesh its objective still changed by 0.2 %" in plan.message
 

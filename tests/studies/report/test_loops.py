@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import Price, with_price
-from linkplan.studies.compare import comparison_blocks, tracking_sections
+from linkplan.studies.compare import comparison_blocks, tracking_result
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.output.document import Axis, Plane, Plot, Series, Table, Text
@@ -85,12 +85,12 @@ def test_of_many_lines_each_is_drawn_once_in_one_of_several_plots():
 
 
 def test_every_joint_and_actuator_is_drawn_those_of_the_smaller_figures_folded(monkeypatch):
-    monkeypatch.setattr(tracking_sections, "_MAX_JOINTS_SHOWN", 1)  # as eight joints are to six
+    monkeypatch.setattr(tracking_result, "_MAX_JOINTS_SHOWN", 1)  # as eight joints are to six
     monkeypatch.setattr(comparison_blocks, "MAX_PEAK_COLUMNS", 1)
     motion = 'kind = "reach"\nstart_deg = { J1 = 0.0, J2 = 0.0 }\ngoal_deg = { J1 = 20.0, J2 = 30.0 }\nduration_s = 0.5\n'
     plan = body_plan(arm(0.3, 0.25), motion)
     assert plan.status == "optimal", plan.message
-    sections = tracking_sections.comparison_sections(compare(plan, None, asked=("pd",)))
+    sections = tracking_result.comparison_sections(compare(plan, None, asked=("pd",)))
     shown, folded = ([section for section in sections if section.folded == which] for which in (False, True))
     drawn = [[block.title for one in some for block in one.blocks if isinstance(block, Plot)] for some in (shown, folded)]
     assert len(drawn[0]) == len(drawn[1]) == 3
