@@ -35,18 +35,17 @@ _COMMON = ("motors", "mesh", "solver", "tracking", "output")
 class PhasedProblem:
     """A motion of one mechanism in phases with contacts, made by `Problem.phases` or from a file.
 
-    Example::
-
-        leg = linkplan.load_mechanism("leg.xml")
-        jump = linkplan.Problem.phases(
-            leg, [linkplan.Phase("push", on=["toe"]), linkplan.Phase("flight")],
-            contacts={"toe": {"site": "foot", "friction": 0.8}}, objective={"maximize": {"com_height": "apex"}})
-        print(linkplan.plan(jump))
-
     Args:
         name: in messages and files.
         sections: of the file.
         folder: in which the model's path is looked up.
+
+    Example::
+
+        empty = linkplan.Phase("empty", start_deg={"O": -20.0}, goal_deg={"O": 10.0})
+        loaded = linkplan.Phase("loaded", payload="shank", goal_deg={"O": 30.0})
+        lift = linkplan.Problem.phases("optimus-knee", [empty, loaded], motion={"duration_s": 0.4})
+        print(lift.to_toml())
     """
 
     name: str

@@ -55,6 +55,14 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         junctions: what happens between them.
         body: the centre of mass and the distance.
         plans: of the phases: ordinary plans, each with its motion, certificate and problem.
+
+    Example::
+
+        empty = linkplan.Phase("empty", start_deg={"O": -20.0}, goal_deg={"O": 10.0})
+        loaded = linkplan.Phase("loaded", payload="shank", goal_deg={"O": 30.0})
+        lift = linkplan.Problem.phases("optimus-knee", [empty, loaded], motion={"duration_s": 0.4})
+        plan = linkplan.plan(lift).require()
+        print(plan, plan.plans[1].objective)
     """
 
     record_name = "phases"

@@ -37,7 +37,13 @@ class ContactSection(Section, frozen=True):
 
 
 class PhaseSection(Section, frozen=True):
-    """A part of a motion with its own contacts. States that are not given are those of its neighbours."""
+    """A part of a motion with its own contacts. States that are not given are those of its neighbours.
+
+    Example::
+
+        push, flight = linkplan.Phase("push", on=["toe"]), linkplan.Phase("flight")
+        print(push.to_dict())
+    """
 
     name: Annotated[str, FOLDER_NAME] = required("a word that names the phase")
     on: Annotated[list[str], _CONTACTS] = key("the contacts that stand on the ground", otherwise="none", default=[])
