@@ -21,13 +21,11 @@ from linkplan.planner.plan import folder as plan_folder
 from linkplan.planner.plan import plan as planned
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.phases import plan_phases
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.refutations import proved_after_refinement
 from linkplan.planner.search.replan import NextMotion, Replanner
 from linkplan.planner.search.sensitivities import with_sensitivities
 from linkplan.studies.output.paths import check_flags, drawn, path_of
-from linkplan.studies.output.phased_plan import PhasedPlan
 from linkplan.studies.output.result import Reported, Result
 
 if TYPE_CHECKING:
@@ -36,9 +34,12 @@ if TYPE_CHECKING:
     from linkplan.planner.plan.record import PlanRecord
     from linkplan.planner.proof.prove import Proof
     from linkplan.studies.output.document import Block, Report
+    from linkplan.studies.output.phased_plan import PhasedPlan
 
 # Without `prove`, a plan is proved if the proof takes at most this share of the planning time, or this many seconds.
 _PROOF_SHARE, _PROOF_SECONDS = 1.0 / 3.0, 1.3
+# The record of a plan in phases in its folder.
+PHASES_FILE = "phases.json"
 PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 
@@ -74,6 +75,9 @@ def plan(
     if in_phases is not None:
         if prove or sensitivities:
             raise ProblemError("prove and sensitivities take one phase: save the plan and name the folder of a phase in it")
+        from linkplan.planner.search.phases import plan_phases
+        from linkplan.studies.output.phased_plan import PhasedPlan
+
         return PhasedPlan.of(plan_phases(in_phases, say))
     asked = given_problem(problem)
     if sensitivities and not asked.mechanism.parameters:
@@ -206,7 +210,9 @@ def read_plan(
     """
     check_flags(anyway=anyway)
     folder = path_of(folder, "folder")
-    if (folder / f"{PhasedPlan.record_name}.json").is_file():
+    if (folder / PHASES_FILE).is_file():
+        from linkplan.studies.output.phased_plan import PhasedPlan
+
         return PhasedPlan.read(folder)
     answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
     note = plan_folder.unchecked(folder)

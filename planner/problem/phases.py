@@ -7,6 +7,7 @@ phases is not part of it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,13 +175,22 @@ class PhasedProblem:
         return table | ({"stand": {name: [float(x) for x in place] for name, place in stand.items()}} if stand else {})
 
     def _payload(self, k: int, payload: Any, mass_kg: float) -> dict[str, Any] | str:
-        """Return the table of a payload with another mass."""
-        if not isinstance(payload, Mapping):
+        """Return the table of a payload with another mass; one without a place is carried by the last body.
+
+        Raises:
+            ProblemError: if there are several last bodies.
+        """
+        if mass_kg == 0:
+            return "none"
+        if isinstance(payload, Mapping):
+            return dict(payload) | {"mass_kg": mass_kg}
+        place = _last_body(self)
+        if place is None:
             raise ProblemError(
-                f"phases[{k}].payload_kg needs mechanism.payload = {{ body = ..., mass_kg = ..., com_m = [x, y, z] }}, which"
-                " says where the payload is; phases[].payload is a whole table of one phase"
+                f"phases[{k}].payload_kg needs mechanism.payload = {{ body = ..., mass_kg = ..., com_m = [x, y, z] }}: the"
+                " mechanism has no single last body that could carry it"
             )
-        return "none" if mass_kg == 0 else dict(payload) | {"mass_kg": mass_kg}
+        return place | {"mass_kg": mass_kg}
 
     def bare_mechanism(self, k: int) -> Mechanism:
         """Return the mechanism of a phase without its contacts."""
@@ -264,6 +274,19 @@ class PhasedProblem:
         phase = self.phases[k]
         given = any(name.startswith("goal") for name in phase.to_dict())
         return k + 1 == len(self.phases) and not (phase.on or phase.rest or given) and phase.duration_s == "free"
+
+
+@functools.lru_cache(maxsize=16)
+def _last_body(asked: PhasedProblem) -> dict[str, Any] | None:
+    """Return the only moving body without a moving child, and a place in it: its only site, else its centre of mass."""
+    model = mechanism_from_tables({"mechanism": asked.sections.mechanism.to_dict()}, asked.folder).model
+    moving = [body for body in range(1, model.nbody) if model.body_weldid[body]]
+    last = [body for body in moving if body not in {int(model.body_parentid[other]) for other in moving}]
+    if len(last) != 1 or not model.body(last[0]).name:
+        return None
+    sites = [site for site in range(model.nsite) if int(model.site_bodyid[site]) == last[0]]
+    place = model.site_pos[sites[0]] if len(sites) == 1 else model.body_ipos[last[0]]
+    return {"body": model.body(last[0]).name, "com_m": place.tolist()}
 
 
 def _boundary(mechanism: Mechanism, ends: np.ndarray, speeds: np.ndarray | None) -> dict[str, Any]:

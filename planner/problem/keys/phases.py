@@ -59,7 +59,12 @@ class PhaseSection(Section, frozen=True):
     duration_s: kinds.Duration | kinds.Free = key("its duration", "s", default="free")
     min_duration_s: kinds.ShortDuration = key("its shortest duration", "s", "any")
     max_duration_s: kinds.Duration = key("its longest duration", "s", "any")
-    payload_kg: kinds.AtLeastZero = key("mass of the mechanism's payload in this phase", "kg", "its own")
+    payload_kg: kinds.AtLeastZero = key(
+        "mass of the mechanism's payload in this phase; without one it is a point mass at the only site of the last body, or"
+        " at its centre of mass",
+        "kg",
+        "its own",
+    )
     payload: Annotated[kinds.PayloadName | PayloadSection, Meta(extra={"said": "a built-in name or a table"})] = key(
         "the payload in this phase", otherwise="the mechanism's"
     )

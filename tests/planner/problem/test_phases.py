@@ -59,7 +59,6 @@ WRONG = {
     ),
     "an unknown joint in the mirror": ('"free"', '"free"\nrepeat = true\nmirror = { leg = "lag" }', "joint 'lag' is not in"),
     "a joint that mirrors two": ('"free"', '"free"\nrepeat = true\nmirror = { leg = "z", z = "z" }', "exchanges with two"),
-    "a payload at no place": ("goal_m", "payload_kg = 3.0\ngoal_m", "phases[1].payload_kg needs mechanism.payload"),
     "a joint of the other kind": ("start_m", "start_deg", "use phases[0].start_m, not start_deg"),
     "a time that is too short": ('"free"', "0.2", "motion.duration_s must be at least the 0.25 s of phases, got 0.2"),
     "bounds in the wrong order": (

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phases import plan_phases
 
@@ -106,3 +107,15 @@ def test_a_passive_hopper_keeps_hopping_without_effort():
     assert plan.objective == pytest.approx(0.0, abs=1e-6)
     assert plan.plans[0].duration_s == pytest.approx(0.307911416546, abs=2e-8)
     assert plan.plans[1].duration_s == pytest.approx(0.203873598369, abs=1e-8)
+
+
+def test_a_mass_without_a_place_is_carried_by_the_last_body():
+    slide = ARM.replace('<joint name="J" axis="0 0 1"/>', '<joint name="J" type="slide" axis="1 0 0"/>')
+    phases = [
+        {"name": "approach", "start_m": {"J": 0.0}, "goal_m": {"J": 1.0}, "rest": True},
+        {"name": "carry", "payload_kg": 3.0, "goal_m": {"J": 2.0}},
+    ]
+    assert planned(slide, phases, motion={"duration_s": 1.0}).objective == pytest.approx(972.0, rel=1e-9)
+    two = slide.replace("</body></worldbody>", '</body><body name="other"><joint/><geom size="0.1"/></body></worldbody>')
+    with pytest.raises(LinkplanError, match=r"phases\[1\].payload_kg needs mechanism.payload"):
+        planned(two, phases)
