@@ -23,6 +23,11 @@ def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
     return any(model.opt.disableflags & int(bit) for bit in bits)
 
 
+def gravity_of(model: mujoco.MjModel) -> np.ndarray:
+    """Return a model's gravity (3,) [m/s2]; zero if it is disabled."""
+    return np.zeros(3) if disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else np.array(model.opt.gravity)
+
+
 def may_collide(model: mujoco.MjModel) -> bool:
     """Return True if any two geoms of a model can be in contact."""
     if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):

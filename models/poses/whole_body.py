@@ -5,6 +5,7 @@ import functools
 import casadi as ca
 import numpy as np
 
+from linkplan.models.kinematics import gravity_of
 from linkplan.models.mechanism import Mechanism, parametric_tree
 from linkplan.models.poses.along import sampled
 
@@ -39,9 +40,14 @@ def total_mass(mechanism: Mechanism) -> float:
     return float(sum(model.body_mass[body] for body in range(1, model.nbody) if model.body_weldid[body]))
 
 
-def gravity_of(mechanism: Mechanism) -> float:
-    """Return the size of gravity [m/s2], or 1 without gravity: a unit of accelerations."""
-    return float(np.linalg.norm(mechanism.model.opt.gravity)) or 1.0
+def unit_acceleration(mechanism: Mechanism) -> float:
+    """Return a unit of accelerations [m/s2]: the size of gravity, or 1 without gravity."""
+    return float(np.linalg.norm(gravity_of(mechanism.model))) or 1.0
+
+
+def fall_acceleration(mechanism: Mechanism) -> float:
+    """Return the acceleration with which bodies fall [m/s2]; zero if nothing pulls them down."""
+    return max(0.0, -float(gravity_of(mechanism.model)[2]))
 
 
 def ground_slides(mechanism: Mechanism) -> tuple[int, ...]:

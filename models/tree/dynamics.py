@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, nearest
-from linkplan.models.kinematics import extent_m, joints_of, path_to
+from linkplan.models.kinematics import extent_m, gravity_of, joints_of, path_to
 from linkplan.models.symbolic_model import axis_of, column, number, numeric, unit_of
 from linkplan.models.tree.coordinates import (
     FREE,
@@ -33,7 +33,6 @@ from linkplan.models.tree.friction import TRANSITION, dry_friction
 from linkplan.models.tree.newton_euler import inertial_of, newton_euler
 from linkplan.models.tree.passive import (
     compensates,
-    disabled,
     gas_springs,
     joint_armature,
     joint_passive,
@@ -139,7 +138,7 @@ def build_tree(
     x, rates, turning = ca.vertcat(q, moved), ca.vertcat(qd, still), ca.diagcat(T, ca.SX.eye(moved.numel()))
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
-    gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
+    gravity = ca.DM(gravity_of(model))
     tau, loads = newton_euler(model, coordinates, q, velocity, acceleration, gravity)
     potential = _potential(model, frames, gravity)
     armature = joint_armature(model)

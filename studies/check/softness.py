@@ -20,6 +20,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.kinematics import (
     STIFF_SOLIMP,
+    gravity_of,
     soft_couplings,
     stiff_time_constant_s,
     turned_coefficients,
@@ -331,7 +332,7 @@ def massless_findings(mechanism: Mechanism) -> list[str]:
 
 def units_notes(mechanism: Mechanism) -> list[str]:
     """Return a note on gravity that is not in m/s2, if it is not."""
-    gravity = float(np.linalg.norm(mechanism.model.opt.gravity))
+    gravity = float(np.linalg.norm(gravity_of(mechanism.model)))
     if gravity <= _MOST_GRAVITY_M_S2:
         return []
     return [
