@@ -10,14 +10,14 @@ all joints are continuous. What is picked up was at rest before; what is put dow
 matrix of what moves both before and after, and M_2 that of what moves afterwards.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.rank import independent_rows
+from linkplan.models.closure.rank import RANK_TOLERANCE, independent_rows
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.instant import Scales
@@ -35,27 +35,14 @@ class Side:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Exchange:
-    """The coordinates of the next phase from those of the last: q_2 = S q_1 + shift of the ground along `slides`.
+    """The coordinates of the next phase from those of the last: those in `order` (n_q,), less the way of its origin.
 
-    `order` (n_q,) and `signs` (n_q,) mirror a gait: coordinate i of the next phase is signs[i] times coordinate order[i].
-    `slides` are the coordinates of the base along the ground, along which the next phase begins anywhere.
+    A gait mirrors its legs: coordinate i of the next phase is coordinate order[i] of the last. `slides` are the coordinates
+    of the base along the ground, along which the next phase begins anywhere.
     """
 
     order: np.ndarray
-    signs: np.ndarray
     slides: tuple[int, ...] = ()
-
-    @classmethod
-    def none(cls, n_q: int, slides: Sequence[int] = ()) -> "Exchange":
-        """Return the exchange of equal coordinates."""
-        return cls(order=np.arange(n_q), signs=np.ones(n_q), slides=tuple(slides))
-
-    @property
-    def matrix(self) -> np.ndarray:
-        """The matrix S (n_q, n_q)."""
-        found = np.zeros((len(self.order), len(self.order)))
-        found[np.arange(len(self.order)), self.order] = self.signs
-        return found
 
 
 def junction(before: Side, after: Side, exchange: Exchange, inertia: Mechanism, n_programs: int, pose: np.ndarray) -> Link:
@@ -76,24 +63,25 @@ def junction(before: Side, after: Side, exchange: Exchange, inertia: Mechanism, 
     q, moved = own[: first.n_q] * ca.DM(unit), ca.SX.zeros(first.n_q)
     for k, slide in enumerate(exchange.slides):
         moved[slide] = own[first.n_q + k] * float(unit[slide])
-    S = ca.DM(exchange.matrix)
-    q_2 = S @ q - moved
+    order = exchange.order.tolist()
+    q_2 = q[order] - moved
     rates = first.dynamics.velocity_map(q) @ _speeds(one, before)
     v_2 = _speeds(two, after)
     gamma, M = second.dynamics.velocity_map(q_2), inertia.dynamics.mass_matrix(q_2)
-    momentum = gamma.T @ (second.dynamics.mass_matrix(q_2) @ (gamma @ v_2) - M @ (S @ rates))
+    momentum = gamma.T @ (second.dynamics.mass_matrix(q_2) @ (gamma @ v_2) - M @ rates[order])
     rate = after.scales.position / after.scales.time_s
-    of_units = np.abs(np.array(second.dynamics.reduced_inertia(exchange.matrix @ pose))) @ rate
+    of_units = np.abs(np.array(second.dynamics.reduced_inertia(pose[order]))) @ rate
     position, after_position = ca.DM(before.scales.position), ca.DM(after.scales.position)
+    start = np.concatenate([pose / unit, np.zeros(len(exchange.slides))])
+    held, closing = first.dynamics.independent_closure(q), second.dynamics.independent_closure(q_2)
     rows = ca.vertcat(
         q[first.independent.tolist()] / position - one[: first.dof],
-        first.dynamics.independent_closure(q) / first.extent_m,
+        held / first.extent_m,
         q_2[second.independent.tolist()] / after_position - two[: second.dof],
-        _further_closure(first, second, exchange, pose)(own) / second.extent_m,
+        closing[_further_rows(held, closing, own, start)] / second.extent_m,
         momentum / ca.DM(of_units),
     )
     function = ca.Function("junction", [ca.vertcat(one, two), durations, own], [ca.densify(rows), ca.SX(0)])
-    start = np.concatenate([pose / unit, np.zeros(len(exchange.slides))])
     ends = (before.program, -1), (after.program, 0)
     return Link(ends=ends, function=function, own=start, bounds=np.tile([-np.inf, np.inf], (len(start), 1)))
 
@@ -144,34 +132,19 @@ def _speeds(state: ca.SX, side: Side) -> ca.SX:
     return state[n_s:] * ca.DM(side.scales.position / side.scales.time_s)
 
 
-def _further_closure(first: Mechanism, second: Mechanism, exchange: Exchange, pose: np.ndarray) -> ca.Function:
-    """Return the closure equations of the next phase [m] that do not follow from those of the last, of the link's unknowns.
+def _further_rows(held: ca.SX, closing: ca.SX, own: ca.SX, at: np.ndarray) -> list[int]:
+    """Return the indices of the next phase's closure rows that do not follow from those of the last, by their rank.
 
-    Which these are is read from the Jacobian's rank in the guessed pose.
+    Args:
+        held: the rows of the phase before, expressions of a link's unknowns.
+        closing: likewise of the next phase.
+        own: these unknowns.
+        at: guess of their values.
     """
-    unit = unit_steps(first.joints, first.extent_m)
-    own = ca.SX.sym("own", first.n_q + len(exchange.slides))
-    moved = ca.SX.zeros(first.n_q)
-    for k, slide in enumerate(exchange.slides):
-        moved[slide] = own[first.n_q + k] * float(unit[slide])
-    q = own[: first.n_q] * ca.DM(unit)
-    held = first.dynamics.independent_closure(q)
-    new = second.dynamics.independent_closure(ca.DM(exchange.matrix) @ q - moved)
-    both = ca.vertcat(held, new)
-    at = np.concatenate([pose / unit, np.zeros(len(exchange.slides))])
+    both = ca.vertcat(held, closing)
     jacobian = np.array(ca.Function("J", [own], [ca.densify(ca.jacobian(both, own))])(at)).reshape(both.numel(), own.numel())
-    kept = _independent_after(jacobian, held.numel())
-    return ca.Function("further", [own], [ca.densify(ca.vertcat(ca.SX(0, 1), *(new[k] for k in kept)))])
-
-
-def _independent_after(jacobian: np.ndarray, n_held: int) -> list[int]:
-    """Return the indices of the rows after the first `n_held` that are independent of these and of each other."""
-    held, new = jacobian[:n_held], jacobian[n_held:]
-    if n_held:
-        basis = np.linalg.qr(held.T)[0]
-        left = new - (new @ basis) @ basis.T
-    else:
-        left = new
-    left = np.where(np.abs(left) > 1e-9 * max(np.abs(jacobian).max(initial=0.0), 1e-300), left, 0.0)
-    rank = int(np.linalg.matrix_rank(left, tol=1e-6 * max(np.abs(jacobian).max(initial=0.0), 1e-300))) if left.size else 0
-    return [int(k) for k in independent_rows([left], rank)] if rank else []
+    before, after = jacobian[: held.numel()], jacobian[held.numel() :]
+    basis = np.linalg.qr(before.T)[0]
+    left = after - (after @ basis) @ basis.T
+    rank = int(np.sum(np.linalg.svd(left, compute_uv=False) > RANK_TOLERANCE * np.abs(jacobian).max(initial=0.0)))
+    return independent_rows([left], rank).tolist()

@@ -16,7 +16,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.ground import ground_normal
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.joint_forces import closure_rows_along
-from linkplan.models.poses.whole_body import gravity_of, total_mass
+from linkplan.models.poses.whole_body import total_mass, unit_acceleration
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows, Tightened
@@ -28,11 +28,11 @@ from linkplan.planner.trajectory import Trajectory
 
 @dataclass(frozen=True, slots=True)
 class GroundForceLimit(Limit):
-    """One row on the force of one contact: normal force plus a share of a tangential one, at least zero.
+    """One row on the force of one contact, at least zero: what friction has left, or the normal force alone.
 
-    `item` is the number of the closure, `normal` the ground's normal (3,) in the direction of its push, and `tangent` (3,)
-    the direction of the tangential force divided by the coefficient of friction; zero for the normal force alone. `conic`
-    rows have the whole tangential force instead.
+    `item` is the number of the closure, `normal` (3,) the direction of the ground's push. Friction leaves its coefficient
+    times the push plus the force along `tangent` (3,), which is zero for the normal force alone. `conic` rows are the
+    squares, (coefficient x push)^2 less the tangential force squared, over the weight.
     """
 
     key: ClassVar[str] = "friction"
@@ -77,12 +77,12 @@ class GroundForceLimit(Limit):
             by_size=True,
         )
 
-    def _left(self, force: Any, friction: Any) -> Any:
+    def _left(self, force: Any, friction: Any, weight_n: Any) -> Any:
         """Return the row of a force (3,) [N]: zero at the limit."""
         push = sum(n * f for n, f in zip(self.normal, force, strict=True) if n)
         if self.conic:
             square = sum(f * f for f in force)
-            return push * push * (1.0 + friction * friction) - square
+            return (push * push * (1.0 + friction * friction) - square) / weight_n
         along = [t * f for t, f in zip(self.tangent, force, strict=True) if t]
         return push * friction + sum(along[1:], along[0]) if along else push
 
@@ -90,8 +90,7 @@ class GroundForceLimit(Limit):
     def rows(self) -> Rows:
         def node(at: Instant, numbers: ca.SX) -> ca.SX:
             force = ca.vertsplit(ca.densify(at.closure_force[at.mechanism.closure_slice(self.item)]))
-            unit = numbers[1] ** 2 if self.conic else numbers[1]
-            return self._left(force, numbers[0]) / unit
+            return self._left(force, numbers[0], numbers[1]) / numbers[1]
 
         def numbers(problem: Problem) -> tuple[float, float]:
             friction = self._friction(problem)
@@ -105,30 +104,27 @@ class GroundForceLimit(Limit):
     def measured(self, at: Samples) -> Measured:
         mechanism = at.problem.mechanism
         rows = closure_rows_along(mechanism, at.q, at.v, at.a, at.u, *at.forces)[:, mechanism.closure_slice(self.item)]
-        left, size = self._left(rows.T, self._friction(at.problem)), weight(mechanism)
-        if self.conic:
-            left = np.sign(left) * np.sqrt(np.abs(left))
+        size = weight(mechanism)
+        left = self._left(rows.T, self._friction(at.problem), size)
         return Measured(mechanism.closure_names[self.item], left, (0.0, np.inf), "N", size, slack=ROUNDING_SHARE * size)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        own, friction = problem.mechanism.closure_slice(self.item), self._friction(problem)
+        own, friction, size = problem.mechanism.closure_slice(self.item), self._friction(problem), weight(problem.mechanism)
         name = self.facts.words.format(problem.mechanism.closure_names[self.item])
 
         def left(at: Any) -> Any:
-            return self._left(at.closure_forces[own], friction) + 0 * at.state.q[0]
+            return self._left(at.closure_forces[own], friction, size) + 0 * at.state.q[0]
 
-        slack = ROUNDING_SHARE * weight(problem.mechanism)
-        unit, slack = ("N2", slack**2) if self.conic else ("N", slack)
-        yield Claimed(name=name, unit=unit, bounds=(0.0, np.inf), value=left, slack=(slack, 0.0))
+        yield Claimed(name=name, unit="N", bounds=(0.0, np.inf), value=left, slack=(ROUNDING_SHARE * size, 0.0))
 
     def affine(self, problem: Problem) -> Affine | None:
-        mechanism, friction = problem.mechanism, self._friction(problem)
+        mechanism, friction, size = problem.mechanism, self._friction(problem), weight(problem.mechanism)
         own = mechanism.closure_slice(self.item)
         if self.conic:
-            return None
+            return None  # no affine function of the efforts
 
         def along(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> np.ndarray:
-            return self._left(closure_rows_along(mechanism, q, v, a, u)[:, own].T, friction)
+            return self._left(closure_rows_along(mechanism, q, v, a, u)[:, own].T, friction, size)
 
         return Affine(along, (0.0, np.inf))
 
@@ -138,7 +134,7 @@ class GroundForceLimit(Limit):
 
 def weight(mechanism: Mechanism) -> float:
     """Return the weight [N] of the moving bodies, the unit of the ground's forces; without gravity, their mass."""
-    return gravity_of(mechanism) * total_mass(mechanism)
+    return unit_acceleration(mechanism) * total_mass(mechanism)
 
 
 def _tangents(mechanism: Mechanism, item: int, normal: np.ndarray) -> np.ndarray:

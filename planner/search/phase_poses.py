@@ -5,7 +5,7 @@ ground, and the given joints have their values. The place of the first contact, 
 along the ground, follows from it. Other places are unknowns of the search, in which every phase has its own origin.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,12 +14,14 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.ground import ground_of
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.whole_body import centre_of_mass, ground_slides
+from linkplan.models.poses.whole_body import centre_of_mass, fall_acceleration, ground_slides
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.phases import PhasedProblem
 
 # A pose is closed, and stands, within this share of the mechanism's extent.
 _CLOSED_SHARE = 1e-9
+# Newton's steps to the rows, from a pose that almost has them.
+_MOST_STEPS = 5
 # Before a release a leg has pushed its body away: the first guess of such a pose raises it by this share of the extent.
 _RISE_SHARE = 0.3
 
@@ -55,6 +57,9 @@ def phase_poses(asked: PhasedProblem, extended: bool = True) -> PhasePoses:
     for key in ("distance_m", "speed_m_s") if not slides else ():
         if getattr(asked.sections.motion, key) is not None:
             raise ProblemError(f"motion.{key} needs a base that slides along the ground; mechanism {bare[0].name} has none")
+    maximize = asked.sections.objective.maximize
+    if maximize is not None and maximize.com_height == "apex" and not fall_acceleration(bare[0]):
+        raise ProblemError(f"objective.maximize.com_height = 'apex' needs gravity down; mechanism {bare[0].name} has none")
     ground = {name: ground_of(bare[0].model, one.plane) for name, one in asked.sections.contacts.items()}
     finder = _Finder(asked, bare, ground)
     sliding = [_slides(asked, k, slides) for k in range(n)]
@@ -64,12 +69,9 @@ def phase_poses(asked: PhasedProblem, extended: bool = True) -> PhasePoses:
     stand: list[dict[str, np.ndarray]] = []
     aim = poses[0]
     if asked.sections.motion.repeat:
-        order, signs = mirror_of(asked, bare[0])
-        aim = signs * poses[0][order]
-        for slide in slides[:1]:
-            aim[slide] = (
-                poses[0][slide] + asked.sections.motion.distance_m if asked.sections.motion.distance_m else aim[slide]
-            )
+        aim = poses[0][mirror_of(asked, bare[0])]
+        if asked.sections.motion.distance_m is not None:
+            aim[slides[0]] = poses[0][slides[0]] + asked.sections.motion.distance_m
     for k in range(n):
         own = {}
         for contact in asked.phases[k].on:
@@ -133,8 +135,8 @@ def _fixed(asked: PhasedProblem, k: int, known: Mapping[str, np.ndarray], slidin
     return {site: known[site] for site in sites if site in known}
 
 
-def mirror_of(asked: PhasedProblem, mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """Return the exchange of coordinates with every repetition: coordinate i takes the place of order[i] (n_q,), with signs.
+def mirror_of(asked: PhasedProblem, mechanism: Mechanism) -> np.ndarray:
+    """Return the exchange of coordinates with every repetition: coordinate i becomes coordinate order[i], (n_q,).
 
     Raises:
         ProblemError: for a joint that exchanges with two others, or with one of another kind.
@@ -147,7 +149,7 @@ def mirror_of(asked: PhasedProblem, mechanism: Mechanism) -> tuple[np.ndarray, n
         if mechanism.joints[i].kind != mechanism.joints[j].kind:
             raise ProblemError(f"motion.mirror: joints {one} and {other} are of two kinds")
         order[i], order[j] = j, i
-    return order, np.ones(mechanism.n_q)
+    return order
 
 
 class _Finder:
@@ -172,71 +174,76 @@ class _Finder:
         Raises:
             ProblemError: if there is none.
         """
-        import scipy
-
-        asked, n = self._asked, len(self._asked.phases)
-        sides = [i for i in (k - 1, k) if 0 <= i < n]
-        if k == n and asked.sections.motion.repeat:
-            sides = [n - 1]
-        given = {}
+        asked = self._asked
+        sides = [i for i in (k - 1, k) if 0 <= i < len(asked.phases)]
+        given: dict[int, float] = {}
         for i in sides:
             given |= asked.given(i, "start" if i == k else "goal", self._bare[i])
         on = dict.fromkeys(contact for i in sides for contact in asked.phases[i].on)
-        q, extent = ca.SX.sym("q", self._first.n_q), self._first.extent_m
-        rows = [self._bare[i].dynamics.closure(q) / extent for i in sides]
-        places = self._first.dynamics.site_places(q)
-        for contact in on:
-            point, normal = self._ground[contact][:3], self._ground[contact][3:]
-            for site in asked.sites_of(contact):
-                at = places[:, self._sites[site]]
-                rows.append(ca.dot(ca.DM(normal), at - ca.DM(point)) / extent)
-                if site in fixed:
-                    rows.append((at - ca.DM(fixed[site])) / extent)
-        start = np.array(reference)
-        low = np.array([joint.lower for joint in self._first.joints])
-        high = np.array([joint.upper for joint in self._first.joints])
-        for index, value in given.items():
-            start[index] = value
-        free = np.array([i for i in range(self._first.n_q) if i not in given], dtype=int)
-        wish = [1e-3 * ((q - ca.DM(start)) / ca.DM(self._unit))[free.tolist()]] if len(free) else []
+        q, start = ca.SX.sym("q", self._first.n_q), np.array(reference)
+        start[list(given)] = list(given.values())
+        free = np.setdiff1d(np.arange(self._first.n_q), list(given)).astype(int)
+        hard = self._rows(q, sides, on, fixed)
         releases = len(sides) == 2 and set(asked.phases[sides[0]].on) - set(asked.phases[sides[1]].on)
-        if extended and releases:
-            rise = centre_of_mass(self._first)
-            height = float(rise(start)[2]) + _RISE_SHARE * extent
-            wish.append(1e-2 * (rise(q)[2] - height) / extent)
-        hard = ca.vertcat(ca.SX(0, 1), *rows)
-        both = ca.vertcat(hard, *wish)
-        function = ca.Function("pose", [q], [ca.densify(both), ca.densify(ca.jacobian(both, q))])
-        exact = ca.Function("exact", [q], [ca.densify(hard), ca.densify(ca.jacobian(hard, q))])
+        wish = self._wishes(q, start, free, raised=extended and bool(releases))
+        found = self._nearest(q, hard, wish, start, free) if len(free) else start
+        gap = np.abs(np.array(ca.Function("gap", [q], [ca.densify(hard)])(found))).max(initial=0.0)
+        if gap > _CLOSED_SHARE:
+            raise ProblemError(self._nowhere(k, sides, on, gap * self._first.extent_m))
+        return found
 
-        def whole(x: np.ndarray) -> np.ndarray:
-            found = np.array(start)
-            found[free] = x
-            return found
+    def _rows(self, q: ca.SX, sides: Sequence[int], on: Iterable[str], fixed: Mapping[str, np.ndarray]) -> ca.SX:
+        """Return what is zero at a pose, in extents: the closures of phases, and the heights or places of standing sites."""
+        rows, places = [self._bare[i].dynamics.closure(q) for i in sides], self._first.dynamics.site_places(q)
+        for contact in on:
+            point, normal = ca.DM(self._ground[contact][:3]), ca.DM(self._ground[contact][3:])
+            for site in self._asked.sites_of(contact):
+                at = places[:, self._sites[site]]
+                rows += [ca.dot(normal, at - point)] + ([at - ca.DM(fixed[site])] if site in fixed else [])
+        return ca.vertcat(ca.SX(0, 1), *rows) / self._first.extent_m
 
-        if len(free):
-            room = np.where(high > low, 1e-9 * self._unit, 0.0)
-            bounds = low[free] - room[free], high[free] + room[free]
-            result = scipy.optimize.least_squares(
-                lambda x: np.array(function(whole(x))[0]).ravel(),
-                np.clip(start[free], *bounds),
-                jac=lambda x: np.array(function(whole(x))[1])[:, free],
-                bounds=bounds,
-                x_scale=self._unit[free],
-            )
-            start = whole(result.x)
-            for _ in range(20):
-                value, slope = (np.array(part) for part in exact(start))
-                if not value.size or np.abs(value).max() < 1e-14:
-                    break
-                step = np.linalg.lstsq(slope[:, free] * self._unit[free], -value.ravel(), rcond=1e-10)[0]
-                start[free] += self._unit[free] * step
-        gap = np.array(exact(start)[0])
-        if gap.size and np.abs(gap).max() > _CLOSED_SHARE:
-            raise ProblemError(self._nowhere(k, sides, on, float(np.abs(gap).max()) * extent))
-        return start
+    def _wishes(self, q: ca.SX, start: np.ndarray, free: np.ndarray, *, raised: bool) -> ca.SX:
+        """Return what should be small at a pose: changes of free coordinates, and the height that a raised body lacks."""
+        wish = 1e-3 * ((q - ca.DM(start)) / ca.DM(self._unit))[free.tolist()]
+        if not raised:
+            return wish
+        height = centre_of_mass(self._first)
+        lacks = float(height(start)[2]) / self._first.extent_m + _RISE_SHARE - height(q)[2] / self._first.extent_m
+        return ca.vertcat(wish, 1e-2 * lacks)
 
-    def _nowhere(self, k: int, sides: Sequence[int], on: Mapping[str, None], gap_m: float) -> str:
+    def _nearest(self, q: ca.SX, hard: ca.SX, wish: ca.SX, start: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Return the pose (n_q,) within the ranges with the least rows and wishes; Newton's steps end on the rows."""
+        import scipy
+
+        def with_slope(rows: ca.SX) -> Callable[[np.ndarray], list[np.ndarray]]:
+            function = ca.Function("rows", [q], [ca.densify(rows), ca.densify(ca.jacobian(rows, q)[:, free.tolist()])])
+
+            def at(x: np.ndarray) -> list[np.ndarray]:
+                whole = np.array(start)
+                whole[free] = x
+                return [np.array(part) for part in function(whole)]
+
+            return at
+
+        both, exact, unit = with_slope(ca.vertcat(hard, wish)), with_slope(hard), self._unit[free]
+        low, high = np.array([(joint.lower, joint.upper) for joint in self._first.joints])[free].T
+        low, high = low - 1e-9 * unit, high + 1e-9 * unit
+        result = scipy.optimize.least_squares(
+            lambda x: both(x)[0].ravel(),
+            np.clip(start[free], low, high),
+            jac=lambda x: both(x)[1],
+            bounds=(low, high),
+            x_scale=unit,
+        )
+        x = result.x
+        for _ in range(_MOST_STEPS if hard.numel() else 0):
+            value, slope = exact(x)
+            x = x + unit * np.linalg.lstsq(slope * unit, -value.ravel(), rcond=1e-10)[0]
+        found = np.array(start)
+        found[free] = x
+        return found
+
+    def _nowhere(self, k: int, sides: Sequence[int], on: Iterable[str], gap_m: float) -> str:
         """Return a sentence on an instant without a pose."""
         names = " and ".join(self._asked.phases[i].name for i in sides)
         where = "at the start of" if k == 0 else "at the end of" if k == len(self._asked.phases) else "between"

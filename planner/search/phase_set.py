@@ -18,7 +18,7 @@ from linkplan.planner.search.phase_poses import PhasePoses, mirror_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Phase:
+class PhaseCase:
     """A phase: its problem and its case, whose ends are free where links determine them.
 
     The first solve has no ground under sites in the air (`first`): with it, jumps became hops of a millimetre.
@@ -41,7 +41,7 @@ class PhaseSet:
 
     asked: PhasedProblem
     at: PhasePoses
-    phases: tuple[Phase, ...]
+    phases: tuple[PhaseCase, ...]
 
     @property
     def first(self) -> Mechanism:
@@ -55,11 +55,9 @@ class PhaseSet:
 
     def exchange(self, k: int) -> Exchange:
         """Return the exchange of coordinates after phase k: that of a gait after the last one."""
-        slides = self.at.slides[k]
-        if k + 1 < len(self.phases):
-            return Exchange.none(self.first.n_q, slides)
-        order, signs = mirror_of(self.asked, self.first)
-        return Exchange(order=order, signs=signs, slides=slides)
+        last = k + 1 == len(self.phases)
+        order = mirror_of(self.asked, self.first) if last else np.arange(self.first.n_q)
+        return Exchange(order=order, slides=self.at.slides[k])
 
     def inertia(self, before: int, after: int) -> Mechanism:
         """Return the mechanism of what moves both before and after a junction."""
@@ -69,7 +67,7 @@ class PhaseSet:
 
 def phase_set(asked: PhasedProblem, at: PhasePoses, solver: SolverSettings | None = None) -> PhaseSet:
     """Return the phases between guessed poses; `solver` has the deadline of a search that has begun."""
-    found: list[Phase] = []
+    found: list[PhaseCase] = []
     for k, phase in enumerate(asked.phases):
         between = k, at.stand[k], at.poses[k : k + 2]
         problem = problem_between(asked, *between)
@@ -80,7 +78,7 @@ def phase_set(asked: PhasedProblem, at: PhasePoses, solver: SolverSettings | Non
         in_the_air = problem_between(asked, *between, problem.mechanism, walls=False)
         cases = case_of(problem), case_of(problem.varied(limits=in_the_air.limits))
         case, first = (replace(one, free_ends=free) for one in cases)
-        found.append(Phase(name=phase.name, problem=problem, case=case, first=first))
+        found.append(PhaseCase(name=phase.name, problem=problem, case=case, first=first))
     _refuse_places_after_sliding(asked, at, found)
     return PhaseSet(asked=asked, at=at, phases=tuple(found))
 
@@ -123,7 +121,7 @@ def _ends(asked: PhasedProblem, k: int, mechanism: Mechanism) -> tuple[np.ndarra
     return free, speeds
 
 
-def _refuse_places_after_sliding(asked: PhasedProblem, at: PhasePoses, phases: list[Phase]) -> None:
+def _refuse_places_after_sliding(asked: PhasedProblem, at: PhasePoses, phases: list[PhaseCase]) -> None:
     """Refuse given coordinates along the ground after a touch-down whose place is free.
 
     Raises:

@@ -18,6 +18,15 @@ LEG = """<mujoco model="leg"><option gravity="0 0 -9.81"/><worldbody><site name=
 <site name="foot" pos="0 0 -.5"/>
 <body name="body"><joint name="hip" axis="0 1 0"/><inertial pos="0 0 .1" mass="2" diaginertia=".05 .05 .05"/></body></body>
 </worldbody><actuator><motor name="hip" joint="hip" ctrlrange="-20 20" ctrllimited="true"/></actuator></mujoco>"""
+# A cart of 2 kg that two motors push along a base of 1 kg, which stands on a foot and would slip in any direction.
+CART = """<mujoco model="cart on a foot"><option gravity="0 0 -9.81"/><worldbody><body name="base">
+<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+<joint name="z" type="slide" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/><site name="foot"/>
+<body name="cart">
+<joint name="u" type="slide" axis="1 0 0"/><joint name="w" type="slide" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="2" diaginertia=".1 .1 .1"/></body></body></worldbody>
+<actuator><motor name="u" joint="u" ctrlrange="-100 100"/>
+<motor name="w" joint="w" ctrlrange="-100 100"/></actuator></mujoco>"""
 ARGUMENTS = {
     "start_deg": {"pitch": 0.0, "hip": 0.0},
     "goal_deg": {"pitch": 4.0, "hip": 20.0},
@@ -65,6 +74,24 @@ def test_a_motion_keeps_the_friction_cone_that_it_left_without_the_limit():
     assert plan.with_proof().proof.passed
     tight = [margin for margin in margins_along(samples_of(plan.problem, plan.trajectory)) if margin.what == "friction"]
     assert min(margin.left for margin in tight) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_in_space_the_cone_is_round_and_a_least_time_along_it_is_the_closed_form():
+    tables = {
+        "mechanism": {"model": CART, "stand": {"foot": [0.0, 0.0, 0.0]}, "independent": ["u", "w"]},
+        "motion": {"kind": "reach", "start_m": {"u": 0.0, "w": 0.0}, "goal_m": {"u": 0.3, "w": 0.4}},
+        "objective": {"minimize": "time"},
+        "limits": {"friction": {"foot": 0.5}},
+    }
+    problem = Problem.from_tables("cart", tables)
+    assert [row.conic for row in GroundForceLimit.of(problem)] == [False, True]
+    plan = plan_motion(problem)
+    assert plan.status == "optimal"
+    most = 0.5 * 3.0 * 9.81 / 2.0  # the acceleration of the cart at which the foot slips
+    assert plan.duration_s == pytest.approx(2.0 * np.sqrt(0.5 / most), rel=1e-6)
+    force = forces(plan)
+    assert np.max(np.hypot(force[:, 0], force[:, 1]) - 0.5 * force[:, 2]) < 1e-6
+    assert plan.with_proof().proof.passed
 
 
 def test_on_a_slope_the_normal_is_that_of_the_ground():
