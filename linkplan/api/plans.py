@@ -17,6 +17,7 @@ from linkplan.api.reporting import LOG, Listener, Progress, listener
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import plain_record, write_whole
+from linkplan.planner.files.tables import PHASES_FILE
 from linkplan.planner.plan import folder as plan_folder
 from linkplan.planner.plan import plan as planned
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
 # Without `prove`, a plan is proved if the proof takes at most this share of the planning time, or this many seconds.
 _PROOF_SHARE, _PROOF_SECONDS = 1.0 / 3.0, 1.3
-# The record of a plan in phases in its folder.
-PHASES_FILE = "phases.json"
 PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 

@@ -24,6 +24,9 @@ BUILT_IN = tuple(sorted(Path(file.name).stem for file in _PROBLEMS.iterdir() if 
 PLAN_FILE = "plan.json"
 PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "trajectory.parquet", "plan.png")
 
+# The file that identifies the folder of a saved plan in phases.
+PHASES_FILE = "phases.json"
+
 Tables = dict[str, dict]
 
 

@@ -1,14 +1,10 @@
 """A plan of a motion in phases: a plan of each phase, and what happens between them."""
 
-from dataclasses import dataclass
-
-import numpy as np
 from msgspec import Struct
 
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import Verdict
-from linkplan.planner.problem.phases import PhasedProblem
-from linkplan.planner.refinement.history import Step
 
 
 class Junction(Struct, frozen=True, kw_only=True):
@@ -56,21 +52,42 @@ class PhaseQuantities(Struct, frozen=True, kw_only=True):
     cost_of_transport: float | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PhasedPlan:
-    """The certified motions of all phases, or the reason why there are none.
+class PhaseRow(Struct, frozen=True, kw_only=True):
+    """One phase of a plan: its contacts, when it begins, how long it takes, its status and its own objective."""
 
-    `plans` are ordinary plans, one for each phase, each with its own certificate; together with the `junctions` they are the
-    whole motion. Both are empty without a motion.
+    name: str
+    on: tuple[str, ...]
+    begins_s: float
+    duration_s: float | None
+    status: str
+    objective: float | None
+    message: str
+
+
+class PhasedRecord(Struct, frozen=True, kw_only=True, eq=False):
+    """The certified motions of all phases of a motion, or the reason why there are none.
+
+    Args:
+        problem: its name.
+        tables: those of its file.
+        verdict: what was found, and by what it is known.
+        objective: its value [SI]; None without a motion.
+        duration_s: of all phases.
+        phases: a row for each.
+        junctions: what happens between them.
+        body: the centre of mass and the distance.
+        plans: of the phases: ordinary plans, each with its motion, certificate and problem.
     """
 
-    problem: PhasedProblem
+    problem: str
+    tables: dict
     verdict: Verdict
-    plans: tuple[Plan, ...] = ()
-    junctions: tuple[Junction, ...] = ()
     objective: float | None = None
+    duration_s: float | None = None
+    phases: tuple[PhaseRow, ...] = ()
+    junctions: tuple[Junction, ...] = ()
     body: PhaseQuantities | None = None
-    history: tuple[Step, ...] = ()
+    plans: Beside[tuple[Plan, ...]] = NOT_READ
 
     @property
     def status(self) -> str:
@@ -83,12 +100,6 @@ class PhasedPlan:
         return self.verdict.passed
 
     @property
-    def duration_s(self) -> float | None:
-        """The duration of all phases [s]; None without a motion."""
-        found = [plan.duration_s for plan in self.plans if plan.duration_s is not None]
-        return sum(found) if found and len(found) == len(self.plans) else None
-
-    @property
-    def begins_s(self) -> np.ndarray:
-        """The times (n_phases,) [s] at which the phases begin."""
-        return np.cumsum([0.0, *(plan.duration_s or 0.0 for plan in self.plans)])[:-1]
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return self.verdict.sentence

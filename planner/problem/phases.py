@@ -172,7 +172,10 @@ class PhasedProblem:
             table["payload"] = phase.to_dict()["payload"]
         if phase.payload_kg is not None:
             table["payload"] = self._payload(k, table.get("payload"), phase.payload_kg)
-        return table | ({"stand": {name: [float(x) for x in place] for name, place in stand.items()}} if stand else {})
+        if stand:
+            places = {name: [float(x) for x in place] for name, place in stand.items()}
+            table["stand"] = table.get("stand", {}) | places
+        return table
 
     def _payload(self, k: int, payload: Any, mass_kg: float) -> dict[str, Any] | str:
         """Return the table of a payload with another mass; one without a place is carried by the last body.
@@ -250,7 +253,7 @@ class PhasedProblem:
             for contact in phase.on
             for site in self.sites_of(contact)
         }
-        limits |= {"friction": friction} if friction else {}
+        limits |= {"friction": limits.get("friction", {}) | friction} if friction else {}
         ground = self._walls(k, mechanism) if walls else {}
         tables["limits"] = limits | ({"site": _joined(limits.get("site", {}), ground)} if ground else {})
         return tables

@@ -7,8 +7,10 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from linkplan.models.poses.whole_body import centre_of_mass, centre_velocity, gravity_of
+from linkplan.models.poses.whole_body import centre_of_mass, centre_velocity, fall_acceleration, unit_acceleration
 from linkplan.planner.closed_chain.junction import Side, end_link, junction
+from linkplan.planner.limits.kinds import effort_bounds
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.phase_set import PhaseSet
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.linked import Link
@@ -42,17 +44,28 @@ def links_of(of: PhaseSet, parts: Sequence[Transcribed], own: Sequence[np.ndarra
 def weights_of(of: PhaseSet, parts: Sequence[Transcribed], tie: float) -> tuple[np.ndarray, float]:
     """Return the factors (n,) on the phases' scaled objectives, and the unit of the whole objective [SI].
 
-    Where something else is maximised, `tie` is the weight of time, in units of a fall, and of scaled efforts.
+    Where something else is maximised, `tie` is the weight of time, in units of a fall, and of squared efforts, in units of
+    those at all limits during a fall.
     """
     if of.asked.sections.objective.maximize is not None:
         unit = of.first.extent_m
-        fall = np.sqrt(unit / gravity_of(of.first))
-        timed = [phase.problem.objective.has("time") for phase in of.phases]
-        sizes = [part.objective_scale / fall if of_time else 1.0 for part, of_time in zip(parts, timed, strict=True)]
+        fall = float(np.sqrt(unit / unit_acceleration(of.first)))
+        sizes = [
+            part.objective_scale / _size_of_tie(phase.problem, fall) for phase, part in zip(of.phases, parts, strict=True)
+        ]
         return tie * np.array(sizes), unit
     shares = np.array([phase.weight for phase in of.asked.phases])
     values = shares * np.array([part.objective_scale for part in parts])
     return values / values.max(), float(values.max())
+
+
+def _size_of_tie(problem: Problem, fall_s: float) -> float:
+    """Return the unit [SI] of a phase's own objective where something else is maximised."""
+    if problem.objective.has("time"):
+        return fall_s
+    largest = np.abs(effort_bounds(problem)).max(axis=1)
+    squares = float(np.sum(largest[np.isfinite(largest)] ** 2))
+    return (squares or 1.0) * fall_s
 
 
 def _stride(of: PhaseSet, gait: Link, sides: Sequence[Side]) -> Link:
@@ -109,7 +122,7 @@ def _maximised(of: PhaseSet, q: ca.SX, rates: ca.SX) -> tuple[ca.SX, list[ca.SX]
     mechanism, asked = of.phases[-1].mechanism, of.asked.sections.objective.maximize
     assert asked is not None  # the caller ensures it
     place, up = centre_of_mass(mechanism)(q), centre_velocity(mechanism)(q, rates)[2]
-    cost, unit, gravity = ca.SX(0), of.first.extent_m, gravity_of(mechanism)
+    cost, unit, gravity = ca.SX(0), of.first.extent_m, fall_acceleration(mechanism)
     if asked.com_height is not None:
         cost -= place[2] / unit
     if asked.distance is not None:

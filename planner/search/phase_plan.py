@@ -8,12 +8,18 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.whole_body import centre_of_mass, centre_velocity, gravity_of, total_mass
+from linkplan.models.poses.whole_body import (
+    centre_of_mass,
+    centre_velocity,
+    fall_acceleration,
+    total_mass,
+    unit_acceleration,
+)
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.limits.samples import samples_of
-from linkplan.planner.plan.phased import Junction, PhasedPlan, PhaseQuantities
+from linkplan.planner.plan.phased import Junction, PhasedRecord, PhaseQuantities, PhaseRow
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import Verdict, failed
 from linkplan.planner.problem.problem import Problem
@@ -41,7 +47,7 @@ class PhasedMotion:
     objective: float
 
 
-def phased_plan(of: PhaseSet, at: PhasedMotion, certified: Sequence[CertifiedIterate], settled: bool) -> PhasedPlan:
+def phased_plan(of: PhaseSet, at: PhasedMotion, certified: Sequence[CertifiedIterate], settled: bool) -> PhasedRecord:
     """Return the plan of a solution with the certificates of its phases; `settled` if its objective has settled."""
     origin, plans, moves = np.zeros(of.first.n_q), [], _moves(of, at)
     for k, one in enumerate(certified):
@@ -49,13 +55,29 @@ def phased_plan(of: PhaseSet, at: PhasedMotion, certified: Sequence[CertifiedIte
         origin = origin + moves[k] if k < len(moves) else origin
     junctions, body = _junctions(of, at, moves), _body(of, plans)
     verdict = _verdict(of, plans, junctions, settled)
-    return PhasedPlan(
-        problem=of.asked,
+    begins = np.cumsum([0.0, *(one.found.motion.duration_s for one in certified)]).tolist()
+    rows = [
+        PhaseRow(
+            name=asked.name,
+            on=tuple(asked.on),
+            begins_s=begin,
+            duration_s=plan.duration_s,
+            status=plan.status,
+            objective=plan.objective,
+            message=plan.message,
+        )
+        for asked, plan, begin in zip(of.asked.phases, plans, begins, strict=False)
+    ]
+    return PhasedRecord(
+        problem=of.asked.name,
+        tables=of.asked.to_dict(),
         verdict=verdict,
-        plans=tuple(plans),
-        junctions=tuple(junctions),
         objective=_objective(of, plans, body) if verdict.passed else None,
+        duration_s=begins[-1],
+        phases=tuple(rows),
+        junctions=tuple(junctions),
         body=body,
+        plans=tuple(plans),
     )
 
 
@@ -165,10 +187,10 @@ def _impact(of: PhaseSet, at: PhasedMotion, k: int, j: int, moved: np.ndarray) -
     """Return the impulses on the sites that stand after a junction [N s], and the energy that is lost [J]."""
     first, second = of.phases[k].mechanism, of.phases[j].mechanism
     q = at.own[k][: first.n_q] * unit_steps(first.joints, first.extent_m)
-    S = of.exchange(k).matrix
-    q_2 = S @ q - moved
+    order = of.exchange(k).order
+    q_2 = q[order] - moved
     end, start = at.found[k].motion, at.found[j].motion
-    v = S @ (np.array(first.dynamics.velocity_map(q)) @ end.velocity_at(np.array([end.duration_s]))[0])
+    v = (np.array(first.dynamics.velocity_map(q)) @ end.velocity_at(np.array([end.duration_s]))[0])[order]
     v_2 = np.array(second.dynamics.velocity_map(q_2)) @ start.velocity_at(np.zeros(1))[0]
     M, M_2 = (np.array(one.dynamics.mass_matrix(q_2)) for one in (of.inertia(k, j), second))
     J = np.array(second.dynamics.closure_jacobian(q_2)).reshape(-1, first.n_q)
@@ -212,7 +234,8 @@ def _body(of: PhaseSet, plans: Sequence[Plan]) -> PhaseQuantities | None:
     rates = joint_rates(mechanism, pose, last.trajectory.velocity_at(np.array([last.trajectory.duration_s])))[0]
     velocity = np.array(centre_velocity(mechanism)(pose[0], rates)).ravel()
     distance = float(end[0] - place[0])
-    apex = float(end[2] + max(velocity[2], 0.0) ** 2 / (2 * gravity_of(mechanism)))
+    fall = fall_acceleration(mechanism)
+    apex = float(end[2] + (max(velocity[2], 0.0) ** 2 / (2 * fall) if fall else 0.0))
     return PhaseQuantities(
         com_start_m=_three(place),
         com_end_m=_three(end),
@@ -242,4 +265,4 @@ def _cost_of_transport(plans: Sequence[Plan], distance_m: float) -> float | None
             at = samples_of(plan.problem, plan.trajectory)
             work += float(np.trapezoid(np.maximum(at.u * at.actuator_speeds, 0.0).sum(axis=1), at.time))
     least = 1e-9 * mechanism.extent_m
-    return work / (gravity_of(mechanism) * total_mass(mechanism) * distance_m) if distance_m > least else None
+    return work / (unit_acceleration(mechanism) * total_mass(mechanism) * distance_m) if distance_m > least else None

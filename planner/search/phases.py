@@ -15,10 +15,10 @@ from linkplan.models.compiled.functions import compiler
 from linkplan.models.deadline import OutOfTimeError, check
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.whole_body import gravity_of
+from linkplan.models.poses.whole_body import unit_acceleration
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.guess import Guess, first_guess, guess_from
-from linkplan.planner.plan.phased import PhasedPlan
+from linkplan.planner.plan.phased import PhasedRecord
 from linkplan.planner.plan.verdict import Verdict, failed, out_of_time
 from linkplan.planner.problem.objective import objective_from
 from linkplan.planner.problem.phases import PhasedProblem
@@ -52,19 +52,18 @@ _SMALL_OVERRUN = 1e-6
 _LEAST_OBJECTIVE = 1e-6
 
 
-def plan_phases(asked: PhasedProblem, say: Say = silent) -> PhasedPlan:
+def plan_phases(asked: PhasedProblem, say: Say = silent) -> PhasedRecord:
     """Return the plan of a motion in phases, or the reason why there is none.
 
     Raises:
         LinkplanError: if the problem is invalid.
     """
-    with recording(say) as steps:
+    with recording(say):
         found = _first_motion(asked)
         if isinstance(found, Verdict):
-            return PhasedPlan(problem=asked, verdict=found, history=tuple(steps))
+            return PhasedRecord(problem=asked.name, tables=asked.to_dict(), verdict=found, plans=())
         of, motion = found
-        plan = phased_plan(of, *_refined(of, motion))
-        return replace(plan, history=tuple(steps))
+        return phased_plan(of, *_refined(of, motion))
 
 
 def _first_motion(asked: PhasedProblem) -> tuple[PhaseSet, PhasedMotion] | Verdict:
@@ -94,7 +93,7 @@ def _first_motion(asked: PhasedProblem) -> tuple[PhaseSet, PhasedMotion] | Verdi
 def _first_solution(of: PhaseSet, pace: float) -> PhasedMotion | None:
     """Return a first solution from smooth paths between the guessed poses; None without one."""
     total, given = of.asked.sections.motion.duration_s, [phase.problem.motion.duration_s for phase in of.phases]
-    falls = [pace * float(np.sqrt(one.mechanism.extent_m / gravity_of(one.mechanism))) for one in of.phases]
+    falls = [pace * float(np.sqrt(one.mechanism.extent_m / unit_acceleration(one.mechanism))) for one in of.phases]
     if total != "free":
         free_s = sum(fall for fall, known in zip(falls, given, strict=True) if known is None)
         left = max(float(total) - sum(known or 0.0 for known in given), 1e-3 * float(total))
@@ -151,9 +150,11 @@ def _solved(
     several = f"{len(ways)} phase{'s'[: len(ways) - 1]}"
     progress(f"{ways[0].what}: {several}, {sum(way.mesh.n_intervals for way in ways)} intervals")
     try:
+        # Those of the first solve: units of a passive motion, which needs no effort, would scale its equations badly.
+        units = [None] * len(ways) if before is None else [part.origin.scales for part in before.linked.parts]
         parts = [
-            way.case.transcribe(guess, way.mesh, way.durations, position_rows=along)
-            for way, guess, along in zip(ways, guesses, rows, strict=True)
+            way.case.transcribe(guess, way.mesh, way.durations, position_rows=along, scales=scales)
+            for way, guess, along, scales in zip(ways, guesses, rows, units, strict=True)
         ]
     except (AssemblyError, OutOfTimeError):
         return None

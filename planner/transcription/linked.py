@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.program import hessian_function, program_functions
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -126,10 +127,10 @@ def _linked(parts: tuple[Transcribed, ...], links: tuple[Link, ...], weights: np
     sizes, n_p = [one.layout.size for one in programs], [len(part.parameters) for part in parts]
     n = sum(sizes) + sum(len(link.own) for link in links)
     x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(n_p))
-    of_parts, of_links = _split(x, [*sizes, n - sum(sizes)]), _split(p, n_p)
+    unknowns, parameters = _split(x, [*sizes, n - sum(sizes)]), _split(p, n_p)
     local = [_Local(link, k, programs, links, n) for k, link in enumerate(links)]
-    values = [one.functions["grad_f"](at, given) for one, at, given in zip(programs, of_parts, of_links, strict=False)]
-    rows = [one.functions["jac_g"](at, given) for one, at, given in zip(programs, of_parts, of_links, strict=False)]
+    values = [one.functions["grad_f"](at, given) for one, at, given in zip(programs, unknowns, parameters, strict=False)]
+    rows = [one.functions["jac_g"](at, given) for one, at, given in zip(programs, unknowns, parameters, strict=False)]
     at_links = [one.values(x) for one in local]
     f = sum((w * value for w, (value, _) in zip(weights, values, strict=True)), start=ca.MX(0))
     f += sum((one.cost for one in at_links), start=ca.MX(0))
@@ -147,21 +148,15 @@ def _linked(parts: tuple[Transcribed, ...], links: tuple[Link, ...], weights: np
         lams = _split(lam_g, [*(len(part.row_lower) for part in parts), *(link.n_rows for link in links)])
         blocks = [
             one.hess_lag()(at, given, w * lam_f, lam)
-            for one, at, given, w, lam in zip(programs, of_parts, of_links, weights, lams, strict=False)
+            for one, at, given, w, lam in zip(programs, unknowns, parameters, weights, lams, strict=False)
         ]
         hessian = ca.diagcat(*blocks, ca.MX(n - sum(sizes), n - sum(sizes)))
         for one, lam in zip(local, lams[len(parts) :], strict=True):
             hessian += one.hessian(x, lam_f, lam)
-        signature = ["x", "p", "lam_f", "lam_g"]
-        return ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"])
+        return hessian_function(x, p, lam_f, lam_g, hessian)
 
-    functions = {
-        "nlp": ca.Function("nlp", [x, p], [f, g], ["x", "p"], ["f", "g"]),
-        "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-    }
     return LinkedProgram(
-        functions=functions,
+        functions=program_functions(x, p, f, g, gradient, jacobian),
         hess_lag=hess_lag,
         n_rows=n_rows,
         n_s=max(one.layout.n_s for one in programs),

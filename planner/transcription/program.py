@@ -255,17 +255,27 @@ def build_program(
             first = np.concatenate([first, ends.hessian_places[0]])
             second = np.concatenate([second, ends.hessian_places[1]])
         hessian = _assemble(hess_values, np.minimum(first, second), np.maximum(first, second), shape)
-        signature = ["x", "p", "lam_f", "lam_g"]
-        return ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"])
+        return hessian_function(x, p, lam_f, lam_g, hessian)
 
-    functions = {
+    functions = program_functions(x, p, f, g, gradient, jacobian)
+    return Program(
+        layout=layout, interval=interval, mesh=mesh, functions=functions, hess_lag=hess_lag, n_rows=n_rows, linear=linear
+    )
+
+
+def program_functions(x: ca.MX, p: ca.MX, f: ca.MX, g: ca.MX, gradient: ca.MX, jacobian: ca.MX) -> dict[str, ca.Function]:
+    """Return a program's functions of x and p with the names that CasADi's solvers expect."""
+    return {
         "nlp": ca.Function("nlp", [x, p], [f, g], ["x", "p"], ["f", "g"]),
         "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
     }
-    return Program(
-        layout=layout, interval=interval, mesh=mesh, functions=functions, hess_lag=hess_lag, n_rows=n_rows, linear=linear
-    )
+
+
+def hessian_function(x: ca.MX, p: ca.MX, lam_f: ca.MX, lam_g: ca.MX, hessian: ca.MX) -> ca.Function:
+    """Return the upper triangle of the Hessian of lam_f f + lam_g g as CasADi's solvers expect it."""
+    signature = ["x", "p", "lam_f", "lam_g"]
+    return ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"])
 
 
 class _OpenEnds:

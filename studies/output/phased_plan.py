@@ -6,55 +6,34 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct, structs
+from msgspec import structs
 
 from linkplan.models.errors import PlanError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.joint_forces import closure_rows_along
-from linkplan.models.poses.whole_body import centre_of_mass
+from linkplan.models.poses.whole_body import centre_of_mass, total_mass
 from linkplan.planner.files.manifest import read_record
-from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.files.tables import PHASES_FILE
 from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan import phased
 from linkplan.planner.plan.folder import read_plan
-from linkplan.planner.plan.plan import Plan
-from linkplan.planner.plan.verdict import Verdict
 from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.document import Animation, Block, Facts, Plot, Report, Section, Text, table_of
 from linkplan.studies.output.draw_plan import drawn_motion, save_plan
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.plan_blocks import objective_unit
 from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.result import Result
 
-
-class PhaseRow(Struct, frozen=True, kw_only=True):
-    """One phase of a plan: its contacts, when it begins, how long it takes, its status and its part of the objective."""
-
-    name: str
-    on: tuple[str, ...]
-    begins_s: float
-    duration_s: float | None
-    status: str
-    objective: float | None
-    message: str
+# A smaller way of the centre of mass [m] is rounding.
+_LEAST_WAY_M = 1e-9
 
 
-class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
-    """The certified motions of all phases of a motion, or the reason why there are none.
-
-    Args:
-        problem: its name.
-        tables: those of its file.
-        verdict: what was found, and by what it is known.
-        objective: its value [SI]; None without a motion.
-        duration_s: of all phases.
-        phases: a row for each.
-        junctions: what happens between them.
-        body: the centre of mass and the distance.
-        plans: of the phases: ordinary plans, each with its motion, certificate and problem.
+class PhasedPlan(phased.PhasedRecord, Result, frozen=True, kw_only=True, eq=False):
+    """The certified motions of all phases of a motion, or the reason why there are none; `PhasedRecord` has its fields.
 
     Example::
 
@@ -65,18 +44,8 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         print(plan, plan.plans[1].objective)
     """
 
-    record_name = "phases"
+    record_name = PHASES_FILE.removesuffix(".json")
     has_parquet = True
-
-    problem: str
-    tables: dict
-    verdict: Verdict
-    objective: float | None
-    duration_s: float | None
-    phases: tuple[PhaseRow, ...]
-    junctions: tuple[phased.Junction, ...]
-    body: phased.PhaseQuantities | None
-    plans: Beside[tuple[Plan, ...]] = NOT_READ
 
     @classmethod
     def read(cls, folder: Path) -> PhasedPlan:
@@ -85,52 +54,14 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         Raises:
             LinkplanError: if the folder or a file in it is missing or damaged, or a motion does not pass.
         """
-        saved = read_record(folder / f"{cls.record_name}.json", cls)
+        saved = read_record(folder / PHASES_FILE, cls)
         plans = [read_plan(folder / f"{k + 1}-{phase.name}") for k, phase in enumerate(saved.phases)]
         return structs.replace(saved, plans=tuple(plans))
 
     @classmethod
-    def of(cls, found: phased.PhasedPlan) -> PhasedPlan:
+    def of(cls, found: phased.PhasedRecord) -> PhasedPlan:
         """Return the planner's plan as a result."""
-        begins = found.begins_s.tolist() if found.plans else []
-        rows = [
-            PhaseRow(
-                name=phase.name,
-                on=tuple(phase.on),
-                begins_s=begin,
-                duration_s=plan.duration_s,
-                status=plan.status,
-                objective=plan.objective,
-                message=plan.message,
-            )
-            for phase, plan, begin in zip(found.problem.phases, found.plans, begins, strict=False)
-        ]
-        return cls(
-            problem=found.problem.name,
-            tables=found.problem.to_dict(),
-            verdict=found.verdict,
-            objective=found.objective,
-            duration_s=found.duration_s,
-            phases=tuple(rows),
-            junctions=found.junctions,
-            body=found.body,
-            plans=found.plans,
-        )
-
-    @property
-    def status(self) -> str:
-        """What planning found: "optimal", "feasible", "infeasible" or "failed"."""
-        return self.verdict.kind
-
-    @property
-    def passed(self) -> bool:
-        """Whether every phase's certificate and every junction passes."""
-        return self.verdict.passed
-
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return self.verdict.sentence
+        return cls(**structs.asdict(found))
 
     def require(self) -> PhasedPlan:
         """Return this plan if every phase is certified.
@@ -155,22 +86,34 @@ class PhasedPlan(Result, Struct, frozen=True, kw_only=True, eq=False):
         if self.body is not None:
             found.append(Facts(rows=self._facts()))
         if self.phases:
-            heads = ["phase", "on", "begins [s]", "duration [s]", "status", "objective"]
-            rows = [(p.name, ", ".join(p.on) or "air", p.begins_s, p.duration_s, p.status, p.objective) for p in self.phases]
+            heads = ["phase", "on", "begins [s]", "duration [s]", "status"]
+            rows = [(p.name, ", ".join(p.on) or "air", p.begins_s, p.duration_s, p.status) for p in self.phases]
+            if not self._maximised:  # there the phases' own objectives only choose among equal motions
+                heads = [*heads, "objective"]
+                rows = [(*row, phase.objective) for row, phase in zip(rows, self.phases, strict=True)]
             found.append(table_of("Phases", heads, rows, digits=8))
         if self.junctions:
             found.append(self._junction_table())
         return found
 
+    @property
+    def _maximised(self) -> list[str]:
+        """What is maximised; empty if something is minimised."""
+        return list(self.tables.get("objective", {}).get("maximize", {}))
+
     def _facts(self) -> list[tuple[str, str]]:
         """Return the facts on the whole motion."""
-        body, moved = self.body, self.body.distance_m
-        rise = body.apex_m - body.com_start_m[2]
-        rise = rise if abs(rise) > 1e-9 else 0.0
-        facts = [("duration", f"{self.duration_s:.9g} s")] if self.duration_s is not None else []
+        body, facts, first = self.body, [], self.plans[0].problem
+        if self.duration_s is not None:
+            facts.append(("duration", f"{self.duration_s:.9g} s"))
         if self.objective is not None:
-            facts.append(("objective", f"{self.objective:.10g}"))
-        facts.append(("centre of mass", f"moves {moved:.6g} m along x, rises by {rise:.8g} m to {body.apex_m:.6g} m"))
+            name = " + ".join(self._maximised) or first.objective.name
+            unit = " m" if self._maximised else objective_unit(first)
+            facts.append((f"objective ({name})", f"{self.objective:.10g}{unit}"))
+        if total_mass(first.mechanism) == total_mass(self.plans[-1].problem.mechanism):  # else it moves with the load
+            rise = body.apex_m - body.com_start_m[2]
+            rise, moved = (way if abs(way) > _LEAST_WAY_M else 0.0 for way in (rise, body.distance_m))
+            facts.append(("centre of mass", f"moves {moved:.6g} m along x, rises by {rise:.8g} m to {body.apex_m:.6g} m"))
         if body.cost_of_transport is not None:
             facts.append(("cost of transport", f"{body.cost_of_transport:.4g}"))
         return facts

@@ -34,6 +34,20 @@ WALKER = f"""<mujoco model="rabbit"><compiler balanceinertia="false" boundmass="
 MIRROR = {"st_hip": "sw_hip", "st_knee": "sw_knee"}
 
 
+# A point of 1 kg on two legs of 1 m with next to nothing at their feet, on a slope of 0.009 rad.
+SLOPE = f"{9.81 * np.sin(0.009):.12f} 0 {-9.81 * np.cos(0.009):.12f}"
+_FEET = "".join(
+    f'<body name="{leg}"><joint name="{leg}" axis="0 1 0"/><inertial pos="0 0 -1" mass="1e-5" diaginertia="1e-9 1e-9 1e-9"/>'
+    f'<site name="{leg}_foot" pos="0 0 -1"/></body>'
+    for leg in ("st", "sw")
+)
+SIMPLEST = f"""<mujoco model="simplest walker"><option gravity="{SLOPE}"/><worldbody><body name="hip" pos="0 0 1">
+<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1e-7 1e-7 1e-7"/>{_FEET}</body></worldbody>
+<actuator><motor name="hip" joint="sw" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+<keyframe><key name="home" qpos="-0.2 -0.02 -0.2 0.2"/></keyframe></mujoco>"""
+
+
 @functools.cache
 def step(friction, **motion):
     tables = {
@@ -69,3 +83,18 @@ def test_on_slippery_ground_a_step_changes_and_stays_in_the_friction_cone():
     assert plan.objective == pytest.approx(392.53798, rel=1e-6)
     assert needed_friction(plan) == pytest.approx(0.3, abs=1e-6)
     assert "slips" in plan.verdict.sentence  # of the heel strike, whose impulse needs more
+
+
+def test_the_simplest_walker_walks_down_its_slope_without_effort_as_printed():
+    # Garcia, Chatterjee, Ruina & Coleman, J. Biomech. Eng. 120 (1998).
+    angle, rate = 0.200310900544287, 0.199832473004977 * np.sqrt(9.81)
+    tables = {
+        "contacts": {"foot": {"site": "st_foot", "friction": 2.0}},
+        "motion": {"repeat": True, "mirror": {"st": "sw"}, "distance_m": 2.0 * np.sin(angle)},
+    }
+    tables["mechanism"] = {"model": SIMPLEST, "independent": ["st", "sw"]}
+    plan = plan_phases(PhasedProblem.from_tables("simplest", tables | {"phases": [{"name": "step", "on": ["foot"]}]}))
+    assert plan.status == "optimal"
+    assert plan.objective == pytest.approx(0.0, abs=1e-12)
+    first = plan.plans[0].trajectory
+    assert abs(first.velocity_at(np.zeros(1))[0, 0]) == pytest.approx(rate, rel=1e-4)  # for feet without any mass
