@@ -222,6 +222,7 @@ class MujocoStepper:
                     self._forces[:] = 0.0
                 self._site_forces.add(k * self._substeps + j, self._forces)
             self._batch.step(self._ids, count, self._stage)
+            self.note_step()
             if j:
                 beyond = beyond + count * (effort - applied)
                 continue
@@ -233,6 +234,9 @@ class MujocoStepper:
         self.k += 1
         if self._watch is not None:
             self._watch.note()
+
+    def note_step(self) -> None:
+        """Note what is lost between control instants, after every stretch of simulator steps: nothing here."""
 
     def freeze(self, lost: np.ndarray) -> None:
         """Put the machines of a mask (n,) back to their starts, where they stay."""

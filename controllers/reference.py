@@ -79,9 +79,15 @@ def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[n
 
 
 def sample(
-    mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float, limit: np.ndarray | None = None
+    mechanism: Mechanism,
+    trajectory: Trajectory,
+    period_s: float,
+    duration_s: float,
+    limit: np.ndarray | None = None,
+    *,
+    begin_s: float = 0.0,
 ) -> SampledReference:
-    """Return a trajectory at the control instants of a period [s] over a duration [s].
+    """Return a trajectory at the control instants of a period [s] over a duration [s], from a time [s] on.
 
     A periodic trajectory is repeated. Any other one holds its last position at rest. More actuators than freedoms share its
     efforts as the trajectory does, within limits (n_u, 2) [N.m or N], by default the model's.
@@ -91,7 +97,9 @@ def sample(
     cycle = round(ratio) if trajectory.periodic and abs(ratio - round(ratio)) < 1e-6 else None
     # Samples of one cycle are computed once and repeated.
     once = np.arange(n if cycle is None else min(n, cycle))
-    time, middle = period_s * once, period_s * (once + 0.5)
+    time, middle = begin_s + period_s * once, begin_s + period_s * (once + 0.5)
+    if duration_s <= trajectory.duration_s:  # the middle of a last period that ends late is still in the motion
+        middle = np.minimum(middle, trajectory.duration_s)
     position = trajectory.position_at(time)
     pose = follow(mechanism, position, trajectory.start_pose)
     pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
@@ -109,7 +117,7 @@ def sample(
         velocity_rad_s=trajectory.velocity_at(time)[again],
         effort=effort[again],
         cycle=cycle,
-        forces=mechanism.forces_at(period_s * (np.arange(n) + 0.5)),
+        forces=mechanism.forces_at(begin_s + period_s * (np.arange(n) + 0.5)),
     )
 
 

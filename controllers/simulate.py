@@ -79,7 +79,9 @@ def simulate(
     """
     stepper, failure = plant.begin(reference, machines)
     q, v = states_of(stepper)
-    sensors = sensing([one.sensors for one in machines], q[:, stepper.independent], v, reference.period_s)
+    position = q[:, stepper.independent]
+    rates = v[:, : position.shape[1]]  # what else a plant measures follows them
+    sensors = sensing([one.sensors for one in machines], position, rates, reference.period_s)
     built = np.array([reason is None for reason in failure])
     if not built.all():
         stepper.freeze(~built)

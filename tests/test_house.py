@@ -30,7 +30,7 @@ ROOMS = {
     ),
     "controllers": (
         "reference", "linearisation", "integrator", "sampling", "trackers", "rollout", "imperfections",
-        "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
+        "feedback_loop", "rigid_plant", "mujoco_plant", "phases", "simulate", "controls", "playback",
     ),
     "studies": (
         "output", "check", "compare", "variations", "feedback", "render", "handover", "report", "explore", "demo",

@@ -46,14 +46,20 @@ class Regulator:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # where no gain exists, the cost grows without bound
-def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repeats: bool) -> Regulator:
+def regulate(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repeats: bool, end: np.ndarray | None = None
+) -> Regulator:
     """Return the optimal feedback for the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats.
+
+    `end` (m, m) is the cost of what comes after a motion that does neither.
 
     Raises:
         GainError: if no stabilising gain exists.
     """
-    spans = [(A_k, B_k @ np.linalg.solve(R, B_k.T), Q) for A_k, B_k in zip(A, B, strict=True)]
-    P = _stationary_cost(functools.reduce(_joined, spans) if repeats else spans[-1])
+    P = end
+    if P is None:
+        spans = [(A_k, B_k @ np.linalg.solve(R, B_k.T), Q) for A_k, B_k in zip(A, B, strict=True)]
+        P = _stationary_cost(functools.reduce(_joined, spans) if repeats else spans[-1])
     gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
     for k in range(len(A) - 1, -1, -1):  # the Riccati recursion from the end
         BP = B[k].T @ P
@@ -65,8 +71,12 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     return Regulator(A=A, B=B, gains=gains, cost=cost, Q=Q, R=R, after=after)
 
 
-def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> tuple[Regulator, np.ndarray]:
+def regulator(
+    mechanism: Mechanism, reference: SampledReference, errors: Errors, end: np.ndarray | None = None
+) -> tuple[Regulator, np.ndarray]:
     """Return the optimal feedback along a reference, and the indices (m,) of x = (s, v) in its state.
+
+    `end` (2 n_s, 2 n_s) is the cost of what comes after it; without it the motion ends at rest or repeats.
 
     A passive degree of freedom, such as the spin of a rod between two ball joints, is uncontrollable and left out.
     """
@@ -81,7 +91,8 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.actuated] for weight in (errors.position, errors.velocity)]
     Q = np.diag(np.concatenate(sizes) ** -2.0)
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
-    return regulate(A, B, Q, R, repeats=reference.cycle is not None), kept
+    end = None if end is None else end[np.ix_(kept, kept)]
+    return regulate(A, B, Q, R, repeats=reference.cycle is not None, end=end), kept
 
 
 def repeated(reference: SampledReference) -> int:
@@ -95,10 +106,15 @@ def lqr(design: Design) -> StateFeedback:
     Raises:
         GainError: if no stabilising gain exists.
     """
+    found, _ = regulator(design.mechanism, design.reference, design.errors())
+    return regulated(design, found)
+
+
+def regulated(design: Design, found: Regulator) -> StateFeedback:
+    """Return the tracker of a design with a regulator's gains along its reference."""
     reference, mechanism = design.reference, design.mechanism
-    found, kept = regulator(mechanism, reference, design.errors())
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
-    full[:, :, kept] = found.gains
+    full[:, :, np.tile(mechanism.actuated, 2)] = found.gains
     gains = full[np.arange(reference.n) % len(full)]
     return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
 

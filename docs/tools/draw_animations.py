@@ -13,6 +13,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.render.gl import GL, find_gl
+from linkplan.studies.render.motion import tracked_motion
 from linkplan.studies.render.render import render
 from linkplan.studies.render.settings import RenderSettings
 
@@ -34,7 +35,7 @@ def draw(plan: Plan, path: Path, gl: GL, size: tuple[int, int]) -> None:
         size=size,
         there_and_back=True,
     )
-    render(plan, path, settings, gl)
+    render(tracked_motion(plan, settings.tracker), path, settings, gl)
 
 
 def main() -> int:

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from linkplan.api.reporting import Listener
 from linkplan.models.catalogue import MODELS, unknown_source
@@ -11,8 +12,9 @@ from linkplan.models.errors import ModelError, PlanError, ProblemError
 from linkplan.models.external_forces import omitted_forces
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
+from linkplan.planner.files.tables import PHASES_FILE, Tables, apply_override, read_tables, refuse_saved_plan
 from linkplan.planner.plan.folder import read_plan, unchecked
+from linkplan.planner.plan.phased import PhasedRecord
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.keys.motion import WaypointSection
@@ -84,6 +86,7 @@ ProblemLike = Problem | Source | str | Path
 AnyProblem = ProblemLike | PhasedProblem
 Subject = Mechanism | Problem | Source | str | Path
 PlanLike = Plan | Problem | Source | str | Path
+AnyPlan = PlanLike | PhasedRecord | PhasedProblem
 Poses = Sequence[Mapping[str, float] | float]
 SiteForces = Mapping[str, Sequence[float]]
 ByParameter = Mapping[str, float]
@@ -172,6 +175,33 @@ def given_phases(problem: object) -> PhasedProblem | None:
     if "phases" not in tables:
         return None
     return PhasedProblem.from_tables(*source.with_settings(name, tables, folder))
+
+
+def any_plan_of(plan: AnyPlan, say: Listener, doing: str) -> Plan | PhasedRecord:
+    """Return a plan with a motion, as `plan_of`, or a plan in phases.
+
+    Raises:
+        LinkplanError: if it is neither, has no motion, or cannot be read.
+    """
+    return _in_phases(plan, say) or plan_of(cast(PlanLike, plan), say, doing)
+
+
+def _in_phases(plan: AnyPlan, say: Listener) -> PhasedRecord | None:
+    """Return a plan in phases: as given, saved in a folder, or computed for a problem with [[phases]]; None for others."""
+    if isinstance(plan, PhasedRecord):
+        return plan
+    if isinstance(plan, Source | str | Path) and (folder := Path(source_of(plan).name)).is_dir():
+        from linkplan.studies.output.phased_plan import PhasedPlan
+
+        return PhasedPlan.read(folder) if (folder / PHASES_FILE).is_file() else None
+    if isinstance(plan, Source | str | Path) and not is_problem(source_of(plan).name):
+        return None
+    asked = given_phases(plan)
+    if asked is None:
+        return None
+    from linkplan.planner.search.phases import plan_phases
+
+    return plan_phases(asked, say)
 
 
 def problem_of(plan: PlanLike) -> Problem | None:

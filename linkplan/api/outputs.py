@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, cast
 from msgspec import structs
 
 from linkplan.api.command import command
-from linkplan.api.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
+from linkplan.api.inputs import (
+    AnyPlan,
+    PlanLike,
+    Source,
+    Subject,
+    any_plan_of,
+    note_forces,
+    plan_of,
+    source_of,
+    subject_of,
+)
 from linkplan.api.names import CLaw, ExportFormat, TrackerName
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.api.typed_commands import sample_again
@@ -70,7 +80,7 @@ def _document(result: object) -> Report:
 
 @command("draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen")
 def render(
-    plan: PlanLike,
+    plan: AnyPlan,
     path: str | Path,
     *,
     tracker: TrackerName = "pd+ff",
@@ -111,6 +121,7 @@ def render(
     from linkplan.controllers.trackers.names import TRACKERS
     from linkplan.planner.files.single_file import check_file_target
     from linkplan.studies.render.gl import find_gl
+    from linkplan.studies.render.motion import motion_on_ground, tracked_motion
     from linkplan.studies.render.render import render as drawn
     from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
@@ -130,7 +141,9 @@ def render(
         there_and_back=there_and_back,
     )
     gl = find_gl(mujoco_gl)
-    return drawn(plan_of(plan, say, "draw"), place, settings, gl, say)
+    answer = any_plan_of(plan, say, "draw")
+    motion = tracked_motion(answer, tracker) if isinstance(answer, Plan) else motion_on_ground(answer, tracker)
+    return drawn(motion, place, settings, gl, say)
 
 
 @command("write a plan, or a model in C, for other programs")

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from linkplan.api.command import command
-from linkplan.api.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
+from linkplan.api.inputs import AnyPlan, Source, any_plan_of, listed, source_of, tracking_table
 from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.models.errors import ProblemError
@@ -17,10 +20,14 @@ from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.tracking_result import TrackingResult, tracking_result
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 
+if TYPE_CHECKING:
+    from linkplan.planner.plan.phased import PhasedRecord
+    from linkplan.studies.compare.ground_tracking import GroundTracking
+
 
 @command("run one tracker on a plan in MuJoCo", saved=True, showing=("all", "report", "parquet"))
 def track(
-    plan: PlanLike,
+    plan: AnyPlan,
     tracker: TrackerLike = "pd+ff",
     *,
     sample: int | None = None,
@@ -28,7 +35,7 @@ def track(
     delay_periods: float = 0,
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> TrackingResult:
+) -> TrackingResult | GroundTracking:
     """Return one tracker's run on a plan in MuJoCo, or on a machine of an experiment.
 
     Args:
@@ -70,6 +77,8 @@ def track(
     factor, delay = _checked(mass_factor, delay_periods)
     asked = trackers_loaded([tracker])[0]
     answer = _to_track(plan, tracking, say)
+    if not isinstance(answer, Plan):
+        return _on_ground(answer, [asked], (factor, delay), say, alone=True)
     mismatch = study.mismatch_of(answer, factor, delay)
     say(f"{answer.problem.name}: one tracker")
     run = study.track(answer, asked, mismatch)
@@ -98,14 +107,14 @@ def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
     showing=("all", "report", "parquet"),
 )
 def compare(
-    plan: PlanLike,
+    plan: AnyPlan,
     trackers: Sequence[TrackerLike] = LINEAR,
     *,
     mass_factor: float = 1.2,
     delay_periods: float = 1,
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> TrackingResult:
+) -> TrackingResult | GroundTracking:
     """Return trackers' runs on a plan in MuJoCo, with the nominal model and with a mismatch.
 
     Args:
@@ -128,8 +137,25 @@ def compare(
     asked = trackers_loaded(listed(trackers, "names, objects or functions"))
     factor, delay = _checked(mass_factor, delay_periods)
     answer = _to_track(plan, tracking, say)
+    if not isinstance(answer, Plan):
+        return _on_ground(answer, asked, (factor, delay), say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
     return tracking_result(comparison)
+
+
+def _on_ground(
+    plan: PhasedRecord,
+    asked: Sequence[TrackerLike],
+    unequal: tuple[float, float],
+    say: Listener,
+    *,
+    alone: bool = False,
+) -> GroundTracking:
+    """Return trackers' runs on a plan in phases on the ground."""
+    from linkplan.studies.compare.ground_tracking import ground_tracking
+
+    mismatch = study.mismatch_of(plan.plans[0], *unequal) if plan.plans else None
+    return ground_tracking(plan, asked, mismatch, say, alone=alone)
 
 
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
@@ -137,10 +163,16 @@ def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
     return number(mass_factor, "mass_factor", positive=True), study.delay_of(delay_periods, "delay_periods")
 
 
-def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
-    """Return a plan with a motion, with new tracking settings if any are given."""
-    answer = plan_of(plan, say, "track")
+def _to_track(plan: AnyPlan, tracking: object, say: Listener) -> Plan | PhasedRecord:
+    """Return a plan with a motion, or one in phases, with new tracking settings if any are given."""
+    answer = any_plan_of(plan, say, "track")
     if tracking is None:
         return answer
-    table = tracking_table(answer.problem.to_dict().get("tracking", {}), tracking)
-    return replace(answer, problem=answer.problem.replace(tracking=table))
+    if isinstance(answer, Plan):
+        return _with_tracking(answer, tracking)
+    return structs.replace(answer, plans=tuple(_with_tracking(phase, tracking) for phase in answer.plans))
+
+
+def _with_tracking(plan: Plan, tracking: object) -> Plan:
+    table = tracking_table(plan.problem.to_dict().get("tracking", {}), tracking)
+    return replace(plan, problem=plan.problem.replace(tracking=table))

@@ -59,6 +59,7 @@ KINDS = {
     "bool": Kind(metavar=""),
     "Subject": _SUBJECT,
     "PlanLike": _PLAN,
+    "AnyPlan": _PLAN,
     "PlanLike | Subject": _EXPORTED,
     "ProblemLike": _PROBLEM,
     "AnyProblem": _PROBLEM,
@@ -129,6 +130,7 @@ _UNITS = {"s": "SECONDS", "hz": "HZ", "deg": "DEG", "m": "M"}
 SOURCES = {
     "Subject": ("set", *names.SELECTION),
     "PlanLike": ("set", "anyway"),
+    "AnyPlan": ("set", "anyway"),
     "PlanLike | Subject": ("set", "anyway", *names.SELECTION),
     "ProblemLike": ("set",),
     "AnyProblem": ("set",),

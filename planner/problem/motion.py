@@ -200,8 +200,7 @@ def start_pose(
 def check_asked_pose(mechanism: Mechanism, asked: Mapping[str, float]) -> None:
     """Refuse a pose, positions [rad or m] of independent joints by name, beyond a joint's range or the mechanism's reach."""
     s = np.array([asked.get(joint.name, np.nan) for joint in mechanism.independent_joints])
-    rounding = np.array([-RANGE_ROUNDING, RANGE_ROUNDING])
-    _check_reach(mechanism, np.array([(joint.lower, joint.upper) for joint in mechanism.joints]) + rounding, "the pose", s)
+    _check_reach(mechanism, np.array([(joint.lower, joint.upper) for joint in mechanism.joints]), "the pose", s)
 
 
 def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: np.ndarray) -> None:
@@ -212,13 +211,13 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
             continue
         index = int(mechanism.independent[column])
         interval, reason = (-np.inf, np.inf) if ranges is None else tuple(ranges[index]), f"range of {joint.name}"
-        inside = interval[0] <= s[column] <= interval[1]
+        inside = interval[0] - RANGE_ROUNDING <= s[column] <= interval[1] + RANGE_ROUNDING
         if inside:
             if can is None or can.turns_fully:
                 continue
             lower, upper = can.lower, can.upper  # an end without a stop is only the last position tried
             interval = (lower.position if lower.stops else -np.inf, upper.position if upper.stops else np.inf)
-            inside = interval[0] <= s[column] <= interval[1]
+            inside = interval[0] - RANGE_ROUNDING <= s[column] <= interval[1] + RANGE_ROUNDING
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
         if not inside:
             raise ProblemError(

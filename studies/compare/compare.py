@@ -193,22 +193,24 @@ def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -
     """
     if not isinstance(asked, str):
         return users_tracker(asked, plan.problem.mechanism, reference)
-    name = choose("tracker", asked, TRACKERS, ProblemError)
-    mechanism, settings = plan.problem.mechanism, tracking_of(plan.problem)
+    return BUILT_IN[choose("tracker", asked, TRACKERS, ProblemError)].build(design_of(plan, reference))
+
+
+def design_of(plan: Plan, reference: SampledReference) -> Design:
+    """Return what a built-in tracker of a plan is built from."""
+    mechanism = plan.problem.mechanism
 
     def errors() -> Errors:
         position, velocity = lqr_settings(plan, reference).lqr_errors(mechanism.independent_joints)
         return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
 
-    return BUILT_IN[name].build(
-        Design(
-            mechanism=mechanism,
-            reference=reference,
-            settings=settings,
-            errors=errors,
-            effort_limit=np.array(plan.problem.limits.actuators_effort),
-            compile_mode=plan.problem.solver.compile,
-        )
+    return Design(
+        mechanism=mechanism,
+        reference=reference,
+        settings=tracking_of(plan.problem),
+        errors=errors,
+        effort_limit=np.array(plan.problem.limits.actuators_effort),
+        compile_mode=plan.problem.solver.compile,
     )
 
 
@@ -288,23 +290,18 @@ def compare(
 
 
 def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
-    problem = plan.problem
-    loop = replace(
-        control_loop(problem),
-        delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
-        mass_factor=mismatch.mass_factor if mismatch else 1.0,
-    )
-    return MujocoPlant(mechanism=problem.mechanism, loop=loop)
+    return MujocoPlant(mechanism=plan.problem.mechanism, loop=control_loop(plan.problem, mismatch))
 
 
-def control_loop(problem: Problem) -> ControlLoop:
-    """Return a problem's drives: limits on effort, motors' torque-speed lines, limits on the rate of efforts."""
+def control_loop(problem: Problem, mismatch: Mismatch | None = None) -> ControlLoop:
+    """Return a problem's drives, perhaps with a mismatch: limits on effort and its rate, motors' torque-speed lines."""
     return ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort),
         motor_line=motor_lines(problem),
         rate_limit=np.abs(problem.limits.effort_rate).max(axis=1),
         initial_effort=problem.limits.initial_effort[:, 0],
-        delay_periods=int(problem.tracking.delay_periods),
+        delay_periods=int(problem.tracking.delay_periods) + (mismatch.delay_periods if mismatch else 0),
+        mass_factor=mismatch.mass_factor if mismatch else 1.0,
     )
 
 

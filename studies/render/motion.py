@@ -1,14 +1,19 @@
 """A tracked motion to draw: simulated poses, planned poses, and efforts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.controllers.phases.ground_plant import on_ground
 from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.limits.kinds import effort_bounds
+from linkplan.planner.plan.phased import PhasedRecord
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.search.planning import silent
 from linkplan.studies.compare.compare import track, tracking_reference
+from linkplan.studies.compare.ground_tracking import ground_tracking
 from linkplan.studies.render.efforts import load_shares
 
 MAX_FILM_FRAMES = 20_000
@@ -18,7 +23,8 @@ MAX_FILM_FRAMES = 20_000
 class TrackedMotion:
     """A run at its control instants (n,) [s]: poses and planned poses (n, n_q), efforts (n, n_u) and their limits (n_u, 2).
 
-    `shares` (n, n_u) are the efforts as shares of their limits. `repeats` is True for a periodic motion.
+    `shares` (n, n_u) are the efforts as shares of their limits. `repeats` is True for a periodic motion, `passed` if the
+    plan passes its certificate.
     """
 
     mechanism: Mechanism
@@ -32,6 +38,7 @@ class TrackedMotion:
     shares: np.ndarray
     stable: bool
     repeats: bool
+    passed: bool
 
     @property
     def duration_s(self) -> float:
@@ -67,6 +74,33 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
         shares=load_shares(effort, limit, np.abs(effort).max(axis=0, initial=0.0)),
         stable=run.stable,
         repeats=bool(plan.trajectory.periodic),
+        passed=plan.passed,
+    )
+
+
+def motion_on_ground(record: PhasedRecord, tracker: str) -> TrackedMotion:
+    """Return a motion in phases as tracked on the ground, which is drawn.
+
+    Raises:
+        LinkplanError: as for tracking.
+    """
+    tracked = ground_tracking(record, [tracker], None, silent, alone=True)
+    ground, (run,), (log,) = tracked.motion, tracked.runs.values(), tracked.logs.values()
+    mechanism, limit = ground.mechanism, effort_bounds(record.plans[0].problem)
+    drawn = replace(mechanism, model=on_ground(mechanism, ground.feet, float(mechanism.model.opt.timestep)))
+    return TrackedMotion(
+        mechanism=drawn,
+        name=record.problem,
+        tracker=tracker,
+        time_s=log.time_s,
+        pose=log.pose,
+        reference=ground.whole.pose_rad[: len(log.pose)],
+        effort=log.effort,
+        limit=limit,
+        shares=load_shares(log.effort, limit, np.abs(log.effort).max(axis=0, initial=0.0)),
+        stable=run.passed,
+        repeats=False,
+        passed=record.passed,
     )
 
 

@@ -15,7 +15,6 @@ from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.single_file import write_file_whole
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.search.planning import silent
 from linkplan.studies.output.document import Block, Text
 from linkplan.studies.output.result import Shown
@@ -23,7 +22,7 @@ from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed, own_direction
 from linkplan.studies.render.gl import GL
-from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slowness, tracked_motion
+from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slowness
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, place_bodies, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 from linkplan.studies.render.shapes import GHOST
@@ -119,18 +118,19 @@ class RenderedFile(Shown, Struct, frozen=True, kw_only=True):
         return f'<img alt="{escape(self.sentence)}" src="data:image/{path.suffix[1:]};base64,{data}">'
 
 
-def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> RenderedFile:
-    """Draw a plan's tracked motion into a file, which is written completely or not at all.
+def render(
+    motion: TrackedMotion, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent
+) -> RenderedFile:
+    """Draw a tracked motion into a file, which is written completely or not at all.
 
     Args:
-        plan: with a motion.
+        motion: what is drawn.
         path: of the file.
         settings: of the film or picture.
         gl: the OpenGL; without one, Matplotlib draws in a plane.
         say: called with lines on the progress.
     """
-    camera = camera_from(settings.camera, plan.problem.mechanism)
-    motion = tracked_motion(plan, settings.tracker)
+    camera = camera_from(settings.camera, motion.mechanism)
     slow = own_slowness(motion.duration_s) if settings.slow is None else settings.slow
     times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # raises before anything is drawn
     if gl.name is None:
@@ -158,8 +158,8 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
         drawn_by="Matplotlib" if gl.name is None else f"MuJoCo ({gl.name})",
         tracker=motion.tracker,
         stable=motion.stable,
-        plan=plan.problem.name,
-        passed=plan.passed,
+        plan=motion.name,
+        passed=motion.passed,
     )
 
 

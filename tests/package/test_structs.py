@@ -13,6 +13,7 @@ from linkplan.planner.files.structs import Beside, read_value
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.result import Result
 from linkplan.studies.output.text import text_of
+from tests.support.phases import HOPPER, TOE
 from tests.support.sources import MODULES
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
@@ -23,6 +24,8 @@ LOCKED = """<mujoco><worldbody><body name="b"><joint axis="0 1 0"/><geom size=".
 # One does, and one is too weak.
 MOTORS = [{"name": "M", "peak_effort": 90.0, "rms_effort": 60.0, "rotor_inertia": 1e-3}, {"name": "N", "peak_effort": 1.0}]
 # Results of every kind, with the optional parts of their structs.
+JUMP = [linkplan.Phase("push", on=["toe"], start_m={"leg": 0.0}), linkplan.Phase("flight", goal_m={"leg": 0.3})]
+APEX = {"com_height": "apex"}
 TURN = {"goal_deg": {"O": 60.0}}
 MADE = {
     "check": ("WholeCheck", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
@@ -30,6 +33,10 @@ MADE = {
     "plan in phases": (
         "PhasedPlan",
         lambda _: linkplan.plan(linkplan.Problem.phases("slider-crank", [linkplan.Phase("turn", duration_s=0.5, **TURN)])),
+    ),
+    "track, on the ground": (
+        "GroundTracking",
+        lambda _: linkplan.track(linkplan.Problem.phases(HOPPER, JUMP, contacts=TOE, objective={"maximize": APEX}), "lqr"),
     ),
     "track": ("TrackingResult", lambda plan: linkplan.track(plan, "lqr")),
     "compare": ("TrackingResult", lambda plan: linkplan.compare(plan, ["pd", "lqr"])),

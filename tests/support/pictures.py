@@ -39,6 +39,7 @@ def waved(source: str, wave: float = WAVE, astray: float = ASTRAY) -> TrackedMot
         shares=load_shares(effort, limit, effort.max(axis=0)),
         stable=True,
         repeats=False,
+        passed=True,
     )
 
 

@@ -6,16 +6,8 @@ import pytest
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phases import plan_phases
+from tests.support.phases import ARM, HOPPER, LOAD, TOE
 
-ARM = """<mujoco model="arm"><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="J" joint="J" ctrlrange="-1000 1000" ctrllimited="true"/></actuator></mujoco>"""
-# A body of 8 kg and a foot of 2 kg, pushed apart by a leg of 300 N with a stroke of 0.3 m.
-HOPPER = """<mujoco model="two-mass hopper"><option gravity="0 0 -9.81"/><worldbody>
-<body name="foot"><joint name="z" type="slide" axis="0 0 1"/><inertial pos="0 0 0" mass="2" diaginertia=".1 .1 .1"/>
-<site name="sole"/><body name="body"><joint name="leg" type="slide" axis="0 0 1" range="0 0.3" limited="true"/>
-<inertial pos="0 0 0" mass="8" diaginertia=".1 .1 .1"/></body></body></worldbody>
-<actuator><motor name="leg" joint="leg" ctrlrange="-300 300" ctrllimited="true"/></actuator></mujoco>"""
 # A body of 10 kg on a spring of 2,000 N/m that is locked in the air.
 SPRING = """<mujoco model="hopper"><option gravity="0 0 -9.81"/><worldbody>
 <body name="body" pos="0 0 0.5"><joint name="z" type="slide" axis="0 0 1"/>
@@ -24,8 +16,6 @@ SPRING = """<mujoco model="hopper"><option gravity="0 0 -9.81"/><worldbody>
 <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/><site name="sole"/></body></body></worldbody>
 <equality><joint name="lock" joint1="leg" polycoef="0 0 0 0 0"/></equality>
 <actuator><motor name="leg" joint="leg" ctrlrange="-100 100" ctrllimited="true"/></actuator></mujoco>"""
-LOAD = {"body": "arm", "mass_kg": 3.0, "com_m": [1.0, 0.0, 0.0]}
-TOE = {"toe": {"site": "sole", "friction": 0.6}}
 
 
 def planned(model, phases, **tables):

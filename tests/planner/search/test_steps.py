@@ -1,7 +1,5 @@
 """The periodic step of a five-link walker with heel strike, against an independent collocation (parameters of RABBIT)."""
 
-import functools
-
 import numpy as np
 import pytest
 
@@ -9,52 +7,7 @@ from linkplan.models.poses.joint_forces import closure_rows_along
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phases import plan_phases
-
-_SHIN = '<inertial pos="0 0 -.128" mass="3.2" diaginertia=".93 .93 .93"/>'
-_THIGH = '<inertial pos="0 0 -.163" mass="6.8" diaginertia="1.08 1.08 1.08"/>'
-
-
-def _leg(side):
-    return (
-        f'<body name="{side}_femur"><joint name="{side}_hip" axis="0 -1 0"/>{_THIGH}'
-        f'<body name="{side}_tibia" pos="0 0 -.4"><joint name="{side}_knee" axis="0 -1 0"/>{_SHIN}'
-        f'<site name="{side}_foot" pos="0 0 -.4"/></body></body>'
-    )
-
-
-def _motor(joint):
-    return f'<motor name="{joint}" joint="{joint}" ctrlrange="-100 100" ctrllimited="true"/>'
-
-
-WALKER = f"""<mujoco model="rabbit"><compiler balanceinertia="false" boundmass="0"/><option gravity="0 0 -9.81"/><worldbody>
-<body name="torso"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
-<joint name="pitch" axis="0 -1 0"/><inertial pos="0 0 .2" mass="20" diaginertia="2.22 2.22 2.22"/>{_leg("st")}{_leg("sw")}
-</body></worldbody><actuator>{"".join(map(_motor, ("st_knee", "st_hip", "sw_hip", "sw_knee")))}</actuator><keyframe>
-<key name="home" qpos="-.22 .75 -.23 .73 -.43 -.123 -.011"/></keyframe></mujoco>"""
-MIRROR = {"st_hip": "sw_hip", "st_knee": "sw_knee"}
-
-
-# A point of 1 kg on two legs of 1 m with next to nothing at their feet, on a slope of 0.009 rad.
-SLOPE = f"{9.81 * np.sin(0.009):.12f} 0 {-9.81 * np.cos(0.009):.12f}"
-_FEET = "".join(
-    f'<body name="{leg}"><joint name="{leg}" axis="0 1 0"/><inertial pos="0 0 -1" mass="1e-5" diaginertia="1e-9 1e-9 1e-9"/>'
-    f'<site name="{leg}_foot" pos="0 0 -1"/></body>'
-    for leg in ("st", "sw")
-)
-SIMPLEST = f"""<mujoco model="simplest walker"><option gravity="{SLOPE}"/><worldbody><body name="hip" pos="0 0 1">
-<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="1" diaginertia="1e-7 1e-7 1e-7"/>{_FEET}</body></worldbody>
-<actuator><motor name="hip" joint="sw" ctrlrange="-1 1" ctrllimited="true"/></actuator>
-<keyframe><key name="home" qpos="-0.2 -0.02 -0.2 0.2"/></keyframe></mujoco>"""
-
-
-@functools.cache
-def step(friction, **motion):
-    tables = {
-        "contacts": {"foot": {"site": "st_foot", "friction": friction}},
-        "motion": {"repeat": True, "mirror": MIRROR, "duration_s": 0.7, **motion},
-    }
-    return plan_phases(PhasedProblem.of(WALKER, [{"name": "step", "on": ["foot"]}], tables))
+from tests.support.phases import SIMPLEST, step
 
 
 def needed_friction(plan):
