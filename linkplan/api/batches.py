@@ -8,6 +8,7 @@ from pathlib import Path
 from linkplan.api.command import command
 from linkplan.api.reporting import Progress, listener
 from linkplan.models.errors import ProblemError
+from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.output.paths import check_flags, path_of
@@ -53,8 +54,8 @@ def batch(
     engine = engine_of(workers, cluster)
     if isinstance(cases, Mapping):
         problem = cases.get("problem")
-        if isinstance(problem, Problem):
-            if problem.extras:
+        if isinstance(problem, Problem | PhasedProblem):
+            if isinstance(problem, Problem) and problem.extras:
                 raise ProblemError(
                     f"a batch needs problems that a file can contain; '{problem.name}' has costs or limits given as Python"
                     " expressions"

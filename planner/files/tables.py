@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from linkplan.models.catalogue import PAYLOADS, unknown_source
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, choose
 from linkplan.models.errors import shown as shown_name
 from linkplan.models.reading import key_text, parse_toml, quoted, read_toml
 
@@ -164,6 +164,9 @@ def set_key(tables: Tables, key: str, value: object) -> None:
             child = node[part] = BUILT_IN[child].table()
         if depth == 1 and path[0] == "parameters" and isinstance(child, int | float):
             child = node[part] = {"value": child}
+        if path[: depth + 1] == ["phases"] and isinstance(child, list):  # phases.push.duration_s: that of the phase "push"
+            names = {one["name"]: one for one in child if isinstance(one, dict) and "name" in one}
+            child = {name: names[name] for name in [choose("phase", path[1], names, ProblemError)]}
         if not isinstance(child, dict):
             what = "a list, whose entries only the file sets" if isinstance(child, list) else "a value, not a table"
             raise ProblemError(f"setting '{key}': '{'.'.join(path[: depth + 1])}' is {what}")

@@ -310,9 +310,9 @@ def _possible_models(saved: PlanRecord, folder: Path) -> list[str | None]:
 
 
 def _unbounded(value: object) -> object:
-    """Return a table of limits with its infinite ends, which JSON stores as null in [low, high]."""
+    """Return a table of limits with its infinite ends, which JSON stores as null, alone or in [low, high]."""
     if isinstance(value, dict):
-        return {key: _unbounded(item) for key, item in value.items()}
+        return {key: np.inf if item is None else _unbounded(item) for key, item in value.items()}
     if isinstance(value, list) and len(value) == 2 and None in value:
         return [end if item is None else item for item, end in zip(value, (-np.inf, np.inf), strict=True)]
     return [_unbounded(item) for item in value] if isinstance(value, list) else value

@@ -90,6 +90,11 @@ class PhasedRecord(Struct, frozen=True, kw_only=True, eq=False):
     plans: Beside[tuple[Plan, ...]] = NOT_READ
 
     @property
+    def folders(self) -> list[str]:
+        """The names of the phases' folders in that of a saved plan."""
+        return [f"{k + 1}-{phase.name}" for k, phase in enumerate(self.phases)]
+
+    @property
     def status(self) -> str:
         """What planning found: "optimal", "feasible", "infeasible" or "failed"."""
         return self.verdict.kind

@@ -29,7 +29,7 @@ from linkplan.planner.problem.settings import joint_values, to_toml_types
 # would leave a solver no room.
 _DEPTH_SHARE = 1e-4
 # The tables that a phase's problem has from the whole file.
-_COMMON = ("motors", "mesh", "solver", "tracking", "output")
+_COMMON = ("parameters", "motors", "mesh", "solver", "tracking", "output")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -199,7 +199,7 @@ class PhasedProblem:
         """Return the mechanism of a phase without its contacts."""
         table = self.mechanism_table(k, {})
         table.pop("independent", None)
-        return mechanism_from_tables({"mechanism": table}, self.folder)
+        return self._loaded(table)
 
     def given(self, k: int, what: str, mechanism: Mechanism) -> dict[int, float]:
         """Return the positions or speeds [SI] by joint that a phase gives.
@@ -260,7 +260,13 @@ class PhasedProblem:
 
     def mechanism(self, k: int, stand: Mapping[str, np.ndarray]) -> Mechanism:
         """Return the mechanism of a phase whose sites stand at places."""
-        return mechanism_from_tables({"mechanism": self.mechanism_table(k, stand)}, self.folder)
+        return self._loaded(self.mechanism_table(k, stand))
+
+    def _loaded(self, table: Mapping[str, Any]) -> Mechanism:
+        """Return the mechanism of a table [mechanism] with the parameters of the file."""
+        parameters = self.sections.to_dict().get("parameters")
+        tables = {"mechanism": dict(table)} | ({"parameters": parameters} if parameters else {})
+        return mechanism_from_tables(tables, self.folder)
 
     def _walls(self, k: int, mechanism: Mechanism) -> dict[str, Any]:
         """Return the ground as walls for the sites of contacts that do not stand in a phase."""

@@ -152,6 +152,14 @@ def mirror_of(asked: PhasedProblem, mechanism: Mechanism) -> np.ndarray:
     return order
 
 
+def _releases(asked: PhasedProblem, k: int) -> bool:
+    """Return whether contacts leave the ground at the start of phase k, or at the end of a jump without a flight."""
+    maximize = asked.sections.objective.maximize
+    if k == len(asked.phases):
+        return bool(asked.phases[-1].on) and maximize is not None and maximize.com_height == "apex"
+    return k > 0 and bool(set(asked.phases[k - 1].on) - set(asked.phases[k].on))
+
+
 class _Finder:
     """Finds poses at the junctions of phases, with as few changes from a reference as possible."""
 
@@ -184,8 +192,7 @@ class _Finder:
         start[list(given)] = list(given.values())
         free = np.setdiff1d(np.arange(self._first.n_q), list(given)).astype(int)
         hard = self._rows(q, sides, on, fixed)
-        releases = len(sides) == 2 and set(asked.phases[sides[0]].on) - set(asked.phases[sides[1]].on)
-        wish = self._wishes(q, start, free, raised=extended and bool(releases))
+        wish = self._wishes(q, start, free, raised=extended and _releases(asked, k))
         found = self._nearest(q, hard, wish, start, free) if len(free) else start
         gap = np.abs(np.array(ca.Function("gap", [q], [ca.densify(hard)])(found))).max(initial=0.0)
         if gap > _CLOSED_SHARE:

@@ -55,7 +55,7 @@ class PhasedPlan(phased.PhasedRecord, Result, frozen=True, kw_only=True, eq=Fals
             LinkplanError: if the folder or a file in it is missing or damaged, or a motion does not pass.
         """
         saved = read_record(folder / PHASES_FILE, cls)
-        plans = [read_plan(folder / f"{k + 1}-{phase.name}") for k, phase in enumerate(saved.phases)]
+        plans = [read_plan(folder / name) for name in saved.folders]
         return structs.replace(saved, plans=tuple(plans))
 
     @classmethod
@@ -101,6 +101,11 @@ class PhasedPlan(phased.PhasedRecord, Result, frozen=True, kw_only=True, eq=Fals
         """What is maximised; empty if something is minimised."""
         return list(self.tables.get("objective", {}).get("maximize", {}))
 
+    @property
+    def objective_unit(self) -> str:
+        """The unit of the objective, after a space."""
+        return " m" if self._maximised else objective_unit(self.plans[0].problem) if self.plans else ""
+
     def _facts(self) -> list[tuple[str, str]]:
         """Return the facts on the whole motion."""
         body, facts, first = self.body, [], self.plans[0].problem
@@ -108,8 +113,7 @@ class PhasedPlan(phased.PhasedRecord, Result, frozen=True, kw_only=True, eq=Fals
             facts.append(("duration", f"{self.duration_s:.9g} s"))
         if self.objective is not None:
             name = " + ".join(self._maximised) or first.objective.name
-            unit = " m" if self._maximised else objective_unit(first)
-            facts.append((f"objective ({name})", f"{self.objective:.10g}{unit}"))
+            facts.append((f"objective ({name})", f"{self.objective:.10g}{self.objective_unit}"))
         if total_mass(first.mechanism) == total_mass(self.plans[-1].problem.mechanism):  # else it moves with the load
             rise = body.apex_m - body.com_start_m[2]
             rise, moved = (way if abs(way) > _LEAST_WAY_M else 0.0 for way in (rise, body.distance_m))
@@ -145,10 +149,9 @@ class PhasedPlan(phased.PhasedRecord, Result, frozen=True, kw_only=True, eq=Fals
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write the folder of each phase's plan, named by its number and name."""
-        for k, plan in enumerate(self.plans):
-            folder = place / f"{k + 1}-{self.phases[k].name}"
-            folder.mkdir()
-            save_plan(plan, folder, parquet=parquet)
+        for name, plan in zip(self.folders, self.plans, strict=True):
+            (place / name).mkdir()
+            save_plan(plan, place / name, parquet=parquet)
 
     def _animation(self) -> Animation:
         """Return the motion through all phases, which the plots' cursors follow."""

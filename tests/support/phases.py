@@ -16,6 +16,16 @@ HOPPER = """<mujoco model="two-mass hopper"><option gravity="0 0 -9.81"/><worldb
 <site name="sole"/><body name="body"><joint name="leg" type="slide" axis="0 0 1" range="0 0.3" limited="true"/>
 <inertial pos="0 0 0" mass="8" diaginertia=".1 .1 .1"/></body></body></worldbody>
 <actuator><motor name="leg" joint="leg" ctrlrange="-300 300" ctrllimited="true"/></actuator></mujoco>"""
+# A mass of 10 kg on a foot without mass: a rotor of 2e-4 kg m2 pushes them apart.
+ROTOR = """<mujoco model="rotor"><option gravity="0 0 -9.81"/><worldbody>
+<body name="foot"><joint name="z" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/><site name="sole"/>
+<body name="mass"><joint name="leg" type="slide" axis="0 0 1" range="0 0.3" limited="true"/>
+<inertial pos="0 0 0" mass="10" diaginertia=".1 .1 .1"/></body></body></worldbody>
+<actuator><motor name="rotor" joint="leg" gear="240.553752199" ctrlrange="-6 6" ctrllimited="true" armature="2e-4"/>
+</actuator></mujoco>"""
+SOLE = {"toe": {"site": "sole"}}
+HIGHEST = {"maximize": {"com_height": "apex"}}
 LOAD = {"body": "arm", "mass_kg": 3.0, "com_m": [1.0, 0.0, 0.0]}
 TOE = {"toe": {"site": "sole", "friction": 0.6}}
 _SHIN = '<inertial pos="0 0 -.128" mass="3.2" diaginertia=".93 .93 .93"/>'

@@ -10,10 +10,12 @@ from linkplan.planner.problem.keys.motion import WaypointSection
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
 from linkplan.planner.problem.keys.sections import (
     FOLDER_NAME,
+    PARAMETERS,
     MechanismSection,
     MeshSection,
     MotorTable,
     OutputSection,
+    ParameterTable,
     PayloadSection,
     SolverSection,
     TrackingSection,
@@ -119,6 +121,9 @@ class PhasedFile(Section, frozen=True, kw_only=True):
         "what to minimise or maximise", otherwise="effort", default=PhasedObjectiveSection()
     )
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
+    parameters: Annotated[dict[str, kinds.Number | ParameterTable], PARAMETERS] = by_name(
+        "numbers of the model by name, as in other problem files", otherwise="none: every number is a constant"
+    )
     motors: Annotated[dict[str, MotorTable], Meta(extra={"of": "actuator = its motor"})] = by_name(
         "the motor behind an actuator, by the actuator's name", otherwise="unknown"
     )

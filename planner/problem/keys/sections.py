@@ -33,7 +33,7 @@ _MODEL = Meta(
 _PAYLOAD = Meta(extra={"said": f"a built-in name ({', '.join(kinds.PAYLOADS)}, none) or a table"})
 _SWITCH = Meta(extra={"said": "true or false"})
 _PLAN = Meta(extra={"said": "a saved plan's folder"})
-_PARAMETERS = Meta(extra={"of": "name = its value or table"})
+PARAMETERS = Meta(extra={"of": "name = its value or table"})
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
@@ -252,7 +252,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
         otherwise="the nominal machine",
         default=RobustSection(),
     )
-    parameters: Annotated[dict[str, kinds.Number | ParameterTable], _PARAMETERS] = by_name(
+    parameters: Annotated[dict[str, kinds.Number | ParameterTable], PARAMETERS] = by_name(
         "numbers of the model by name, which `check` with `parameters` lists: values, ranges, tolerances",
         otherwise="none: every number is a constant",
     )

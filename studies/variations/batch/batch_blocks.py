@@ -12,11 +12,13 @@ from msgspec import Struct
 from linkplan.planner.files.structs import NOT_READ, Beside, read_value
 from linkplan.planner.files.tables import parse_value
 from linkplan.planner.plan.folder import plan_without_motion, read_plan
+from linkplan.planner.plan.phased import PhasedRecord
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.record import PlanRecord
 from linkplan.planner.problem.keys.sections import CaseSection
 from linkplan.studies.output.document import Block, Report, Section, Text, table_of
 from linkplan.studies.output.numbers import significant
+from linkplan.studies.output.phased_plan import PhasedPlan
 from linkplan.studies.output.plan_blocks import objective_digits, objective_unit
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.result import Result
@@ -38,7 +40,7 @@ class CaseRow(Struct, frozen=True, kw_only=True):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, slots=True)
-class CasePlans(Sequence[Plan]):
+class CasePlans(Sequence[Plan | PhasedPlan]):
     """The plans of a batch in the order of its cases, each read and certified again when it is asked for.
 
     A case without a certified motion has a plan with its verdict only. `temporary` is the folder's owner, if it is deleted
@@ -53,13 +55,17 @@ class CasePlans(Sequence[Plan]):
         return len(self.cases)
 
     @overload
-    def __getitem__(self, index: int) -> Plan: ...
+    def __getitem__(self, index: int) -> Plan | PhasedPlan: ...
     @overload
-    def __getitem__(self, index: slice) -> Sequence[Plan]: ...
-    def __getitem__(self, index: int | slice) -> Plan | Sequence[Plan]:
+    def __getitem__(self, index: slice) -> Sequence[Plan | PhasedPlan]: ...
+    def __getitem__(self, index: int | slice) -> Plan | PhasedPlan | Sequence[Plan | PhasedPlan]:
         name = list(self.cases)[index]
         if isinstance(name, list):
             return dataclasses.replace(self, cases={one: self.cases[one] for one in name})
+        if "junctions" in self.cases[name]:
+            record = {key: value for key, value in self.cases[name].items() if key != "settings"}
+            saved = msgspec.convert(record, PhasedPlan, dec_hook=read_value)
+            return PhasedPlan.read(self.folder / name) if saved.passed else saved
         saved = msgspec.convert(self.cases[name], PlanRecord, dec_hook=read_value)
         if saved.status in ("optimal", "feasible"):
             return read_plan(self.folder / name, anyway=True)
@@ -73,7 +79,7 @@ class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
     """The results of a batch: the record of each case, its plan, its row, a sentence for each case without a plan."""
 
     cases: dict[str, dict[str, Any]]
-    plans: Beside[Sequence[Plan]] = NOT_READ
+    plans: Beside[Sequence[Plan | PhasedPlan]] = NOT_READ
     """The plans in the order of the cases. Each is read when it is asked for, so that a large batch takes little memory."""
     rows: Beside[list[CaseRow]] = NOT_READ
     failures: Beside[tuple[str, ...]] = NOT_READ
@@ -108,13 +114,18 @@ class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
         return f"BatchOutcome({len(self.rows)} cases, {len(self.failures)} without a plan)"
 
 
-def case_row(case: CaseSection, plan: Plan) -> CaseRow:
+def case_row(case: CaseSection, found: Plan | PhasedRecord) -> CaseRow:
     """Return a case's row of the table."""
-    digits, peaks = objective_digits(plan), {}
-    for effort, actuator in zip(
-        () if plan.certificate is None else plan.certificate.peak_effort, plan.problem.mechanism.actuators, strict=False
-    ):
-        peaks[actuator.unit] = max(peaks.get(actuator.unit, 0.0), float(effort))
+    plans, peaks = [found] if isinstance(found, Plan) else list(found.plans), {}
+    digits = min((objective_digits(plan) for plan in plans), default=0)
+    for plan in plans:
+        efforts = () if plan.certificate is None else plan.certificate.peak_effort
+        for effort, actuator in zip(efforts, plan.problem.mechanism.actuators, strict=False):
+            peaks[actuator.unit] = max(peaks.get(actuator.unit, 0.0), float(effort))
+    if isinstance(found, Plan):
+        unit, again = objective_unit(found.problem).strip(), found.solved_again
+    else:
+        unit, again = PhasedPlan.of(found).objective_unit.strip(), False
     settings = {}
     for setting in case.set:
         key, _, text = (part.strip() for part in setting.partition("="))
@@ -123,11 +134,11 @@ def case_row(case: CaseSection, plan: Plan) -> CaseRow:
     return CaseRow(
         name=case.name,
         settings=settings,
-        status=plan.status,
-        objective=significant(plan.objective, min(digits, 6)),
-        objective_unit=objective_unit(plan.problem).strip(),
-        duration_s=significant(plan.duration_s, digits),
+        status=found.status,
+        objective=significant(found.objective, min(digits, 6)),
+        objective_unit=unit,
+        duration_s=significant(found.duration_s, digits),
         peak_effort={unit: float(f"{peak:.4g}") for unit, peak in peaks.items()},
-        solver_s=float(f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"),
-        start="a solved case" if plan.solved_again else "its own",
+        solver_s=float(f"{sum(step.build_s + step.solve_s for plan in plans for step in plan.history):.2g}"),
+        start="a solved case" if again else "its own",
     )

@@ -15,8 +15,10 @@ from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.work_folders import replace_file
 from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.folders import check_target, plain_record, write_json
-from linkplan.planner.files.tables import PLAN_FILES
+from linkplan.planner.files.tables import PHASES_FILE, PLAN_FILE, PLAN_FILES
 from linkplan.planner.plan.folder import record_of, versions, write_plan
+from linkplan.planner.plan.phased import PhasedRecord
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
 from linkplan.planner.refinement.history import silent
@@ -63,13 +65,26 @@ def plan_block(batch: BatchFile, block: int, target: Path, parquet: bool, say: S
         files = {}
         if plan.passed:
             with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
-                write_plan(plan, Path(place), target / case.name, parquet=parquet)
-                files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
+                _write(plan, Path(place), target / case.name, parquet)
+                written = sorted(path for path in Path(place).rglob("*") if path.is_file())
+                files = {path.relative_to(place).as_posix(): path.read_bytes() for path in written}
         failure = None if plan.passed else f"{case.name}: {plan.message}"
-        said = {"settings": list(case.set), **plain_record(record_of(plan))}
+        record = record_of(plan) if isinstance(plan, Plan) else plan
+        said = {"settings": list(case.set), **plain_record(record)}
         answer = Planned(name=case.name, row=case_row(case, plan), record=said, failure=failure, files=files)
         found.append(answer)
     return found
+
+
+def _write(plan: Plan | PhasedRecord, place: Path, target: Path, parquet: bool) -> None:
+    """Write a plan, or a plan in phases with a folder for each, into an empty folder, which is moved to `target`."""
+    if isinstance(plan, Plan):
+        write_plan(plan, place, target, parquet=parquet)
+        return
+    write_json(place / PHASES_FILE, plan)
+    for name, phase in zip(plan.folders, plan.plans, strict=True):
+        (place / name).mkdir()
+        write_plan(phase, place / name, target / name, parquet=parquet)
 
 
 def packed(answers: list[Planned]) -> bytes:
@@ -90,21 +105,27 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path) -> list[Plan
         if [one.name for one in answers] != [case.name for case in cases]:
             raise ValueError("its cases are not those of the batch")
         for answer in answers:
-            if others := sorted(answer.files.keys() - set(PLAN_FILES)):
+            if others := sorted(name for name in answer.files if not _is_file_of_plan(name)):
                 raise ValueError(f"'{answer.name}/{others[0][:100]}' is not a file of its plans")
             folder = place / answer.name
             for name, content in answer.files.items():
-                folder.mkdir(exist_ok=True)
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
-            if answer.failure is None:
-                read_plan_record(folder)
-                read_trajectory(folder / "trajectory.npz")
+            for plan in [] if answer.failure else [path.parent for path in folder.rglob(PLAN_FILE)] or [folder]:
+                read_plan_record(plan)
+                read_trajectory(plan / "trajectory.npz")
     except (msgspec.MsgspecError, ValueError, PlanFileError) as error:
         why = one_line(error)
         raise PlanFileError(
             f"'{path}' is damaged: {why}; remove it and run the same command again to plan its cases"
         ) from error
     return answers
+
+
+def _is_file_of_plan(name: str) -> bool:
+    """Return whether a file is one of a plan's folder, or of a phase's folder in it."""
+    *folders, last = name.split("/")
+    return len(folders) < 2 and ".." not in folders and last in (*PLAN_FILES, *([] if folders else [PHASES_FILE]))
 
 
 RECORD = "batch.json"

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phases import plan_phases
-from tests.support.phases import ARM, HOPPER, LOAD, TOE
+from tests.support.phases import ARM, HIGHEST, HOPPER, LOAD, ROTOR, SOLE, TOE
 
 # A body of 10 kg on a spring of 2,000 N/m that is locked in the air.
 SPRING = """<mujoco model="hopper"><option gravity="0 0 -9.81"/><worldbody>
@@ -109,3 +109,13 @@ def test_a_mass_without_a_place_is_carried_by_the_last_body():
     two = slide.replace("</body></worldbody>", '</body><body name="other"><joint/><geom size="0.1"/></body></worldbody>')
     with pytest.raises(LinkplanError, match=r"phases\[1\].payload_kg needs mechanism.payload"):
         planned(two, phases)
+
+
+def test_a_single_push_takes_off_at_its_end():
+    # A rotor that its gear leaves behind: 6 N.m through 240.55 per metre lift 10 kg.
+    J, N, T, m, g, d = 2e-4, 240.553752199, 6.0, 10.0, 9.81, 0.3
+    plan = planned(ROTOR, [{"name": "push", "on": ["toe"], "start_m": {"leg": 0.0}}], contacts=SOLE, objective=HIGHEST)
+    acceleration = (N * T - m * g) / (m + N**2 * J)
+    assert plan.status == "optimal"
+    assert plan.duration_s == pytest.approx(np.sqrt(2 * d / acceleration), abs=1e-8)
+    assert plan.objective == pytest.approx(d + acceleration * d / g, abs=1e-8)
