@@ -16,8 +16,9 @@ from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.default_gains import with_gains
+from linkplan.planner.problem.keys.reading import kind_of, read
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import Tracking, number
+from linkplan.planner.problem.settings import Tracking, number, to_toml_types
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_report import BodeStudy
 from linkplan.studies.feedback.bode.further_studies import along_motion, large_study, map_study
@@ -70,9 +71,9 @@ def bode(
         subject: a mechanism with an actuator, a `Problem`, or the name or path of either. Joints that no actuator drives
             move along; `plant to JOINT` is the response to them.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
-        kp: proportional gain of every joint [N.m/rad or N/m]; by default the problem's, 200. In Python `tracking` can
-            set this and the next three, too.
-        kd: derivative gain [N.m.s/rad or N.s/m]; by default the problem's, 1.
+        kp: proportional gain of every joint [N.m/rad or N/m]; by default the problem's. In Python `tracking` can set
+            this and the next three, too.
+        kd: derivative gain [N.m.s/rad or N.s/m]; by default the problem's.
         period_s: control period [s]; by default the problem's.
         delay_periods: computing delay in control periods, which may be a fraction.
         tracking: settings that replace the problem's, by the keys of its [tracking] table: kp, kd, period_s,
@@ -158,14 +159,8 @@ def loop_of(
 ) -> tuple[Mechanism, Problem | None, Tracking, np.ndarray]:
     """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
     mechanism, problem, own = read_subject(subject)
-    table = tracking_table(own, tracking)
-    settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
-    asked = {"delay_periods": table.get("delay_periods", 0)} | {key: x for key, x in given.items() if x is not None}
-    for key, value in asked.items():
-        number(
-            value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
-        )
-    settings = settings.replace(**asked)
+    asked = {key: read(kind_of(f"tracking.{key}"), to_toml_types(x), key) for key, x in given.items() if x is not None}
+    settings = tracking_from_tables({"tracking": tracking_table(own, tracking) | asked}, mechanism)
     if not settings.acts:
         raise ProblemError("kp and kd are both 0: there is no feedback")
     settings = with_gains(settings, mechanism, (lambda: mechanism.home) if problem is None else problem.start_pose)

@@ -36,6 +36,9 @@ from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.reading import KEYS, checked, kind_of, read, refuse_unknown_keys
 from linkplan.planner.problem.keys.sections import (
+    DEFAULT_PERIOD_S,
+    JERK_SCHEME,
+    PATH_INTERVALS,
     GuessSection,
     MechanismSection,
     MotionSection,
@@ -56,7 +59,6 @@ from linkplan.planner.problem.parameters import (
 from linkplan.planner.problem.path import path_rows, site_path_of
 from linkplan.planner.problem.reference import Reference, guess_of, reference_of, repeats_in
 from linkplan.planner.problem.settings import (
-    DEFAULT_PERIOD_S,
     MeshSettings,
     SolverSettings,
     Tracking,
@@ -86,10 +88,6 @@ _OWN = {
     "mechanism": "From `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text.",
     "name": "In messages, tables and files. Default: the mechanism's name with the kind of motion.",
 }
-# The intervals of a first mesh along a path, three times as many as usual, because the program of one degree of freedom is
-# small. With 40, 80 and 120, least times exceed those of an independent path parameterisation by 5e-4, 1.5e-4 and 1e-4 for a
-# five-bar's polyline with two corners, and by less than 1e-7 for a line.
-PATH_INTERVALS = 120
 # The arguments of builders.
 ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *MECHANISM_ARGUMENTS)
 
@@ -308,7 +306,7 @@ def _mesh(asked: ProblemFile, objective: Objective) -> dict:
     if asked.path is not None and "breaks" not in section:
         values["intervals"] = PATH_INTERVALS
     if objective.has("jerk"):
-        values["scheme"] = "radau-5"  # the least jerk is quadratic between limits, and the acceleration cubic
+        values["scheme"] = JERK_SCHEME
     if "scheme" in section:
         values["refine"] = "intervals"  # a named transcription is kept, unless the refinement is also given
     if "breaks" in section and "intervals" in section:

@@ -1,9 +1,9 @@
 """Settings of the mesh, the solver and the tracking of a plan, and values of joints under keys.
 
-Values are checked at construction, by the definitions of the keys of problem files.
+The sections of problem files are decoded and checked in `planner.problem.keys`; these settings hold what they decode to.
 
-Illegal values are refused in one line that names the key of problem files. Values of joints are in a table of joint = value
-under a key with the unit. If a motion names other joints than the driven ones, these become independent.
+Values of joints are in a table of joint = value under a key with the unit. If a motion names other joints than the driven
+ones, these become independent.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import fields, force_setattr
+from msgspec.structs import force_setattr
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
@@ -31,17 +31,21 @@ from linkplan.planner.problem.keys.kinds import (
 )
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.keys.section import Section
-from linkplan.planner.problem.keys.sections import MeshSection, SolverSection, TrackingSection
+from linkplan.planner.problem.keys.sections import (
+    DEFAULT_INTERVALS,
+    DEFAULT_PERIOD_S,
+    DEFAULT_SCHEME,
+    LQR_DEFAULTS,
+    LQR_RESPONSE_PERIODS,
+    MeshSection,
+    SolverSection,
+    TrackingSection,
+)
 
 # The default of a field that __post_init__ sets; readers of the field never find it.
 DERIVED: Any = None
 # Keys with tables of joint = value in [motion], its waypoints and [reference].
 _STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias", "position")
-# The default control period [s]; if the model's timestep is longer, the period is one timestep.
-DEFAULT_PERIOD_S = 1e-4
-# Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines
-# with default imperfections chatter between their limits; with 5 none does, and 6 leaves a reserve.
-LQR_RESPONSE_PERIODS = 6
 # The share of a plan's time that is reserved for its certificate; solves end before it.
 CERTIFICATE_TIME_SHARE = 0.1
 
@@ -155,31 +159,20 @@ def _named(tables: Mapping[str, dict]) -> Iterator[str]:
                 yield from table.get(f"{state}_{unit}", ())
 
 
-def _decode(settings: Section, kind: type[Section], name: str) -> None:
-    """Decode the keys of a section, of a file or from Python, in place; None is kept if it is the default."""
-    values = [(one, to_toml_types(getattr(settings, one.name))) for one in fields(kind)]
-    given = {one.name: value for one, value in values if value is not None or one.default is not None}
-    found = read(kind, given, name)
-    for key in given:
-        force_setattr(settings, key, getattr(found, key))
-
-
 class MeshSettings(MeshSection, frozen=True, eq=False):
     """The [mesh] of a problem; `breaks` is an array, which says how many intervals there are."""
 
-    scheme: str = "radau-3"
-    intervals: int = 40
+    scheme: str = DEFAULT_SCHEME
+    intervals: int = DEFAULT_INTERVALS
     effort: str = "polynomial"
     refine: str = "both"
     breaks: Any = None
 
     def __post_init__(self) -> None:
-        given = to_toml_types(self.breaks)
-        _decode(self, MeshSection, "mesh")
-        if given is not None:
+        if self.breaks is not None:
             breaks = frozen(self.breaks)
             if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
-                raise ProblemError(f"mesh.breaks must be {BREAKS}, got {given!r}")
+                raise ProblemError(f"mesh.breaks must be {BREAKS}, got {breaks.tolist()!r}")
             force_setattr(self, "breaks", breaks)
             force_setattr(self, "intervals", len(breaks) - 1)
 
@@ -189,11 +182,6 @@ class SolverSettings(SolverSection, frozen=True, eq=False):
 
     max_iterations: int | None = None  # None: enough for a hard problem
     deadline: Deadline = NO_DEADLINE  # the deadline of all solves; certificates have a later one
-
-    def __post_init__(self) -> None:
-        _decode(self, SolverSection, "solver")
-        if self.max_iterations is not None:
-            force_setattr(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, 1_000_000))
 
     @property
     def certificate_deadline(self) -> Deadline:
@@ -216,15 +204,13 @@ class Tracking(TrackingSection, frozen=True, eq=False):
     period_s: float = DEFAULT_PERIOD_S
 
     def __post_init__(self) -> None:
-        delay = to_toml_types(self.delay_periods)
-        _decode(self, TrackingSection, "tracking")
-        force_setattr(self, "delay_periods", delay)  # an integer stays an integer
+        if self.delay_periods == int(self.delay_periods):
+            force_setattr(self, "delay_periods", int(self.delay_periods))
 
     def tracked(self) -> "Tracking":
         """Return these settings if they can track a motion: the delay must be a whole number of control periods."""
-        delay = self.delay_periods
-        whole_delay = int(delay) if delay == int(delay) else whole(delay, "tracking.delay_periods", 0, MAX_DELAY)
-        return self if type(delay) is int else self.replace(delay_periods=whole_delay)
+        whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY)
+        return self
 
     @property
     def acts(self) -> bool:
@@ -281,8 +267,8 @@ class Tracking(TrackingSection, frozen=True, eq=False):
             period_s: the control period [s], or the simulator's step if that is longer.
         """
         time, reached = LQR_RESPONSE_PERIODS * period_s, {}
-        for kind, unit, position, velocity in (("hinge", "deg", 1.0, 100.0), ("slide", "m", 0.01, 1.0)):
-            most = {joint.name: joint.shown(a) for joint, a in zip(joints, acceleration, strict=True) if joint.kind == kind}
+        for unit, (position, velocity) in LQR_DEFAULTS.items():
+            most = {joint.name: joint.shown(a) for joint, a in zip(joints, acceleration, strict=True) if joint.unit == unit}
             near = {name: min(max(position, 0.5 * a * time**2), LQR_ERRORS[1]) for name, a in most.items()}
             slow = {name: min(max(velocity, a * time), LQR_ERRORS[1]) for name, a in most.items()}
             reached |= {f"lqr_position_{unit}": near or position, f"lqr_velocity_{unit}_s": slow or velocity}
