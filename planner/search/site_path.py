@@ -18,7 +18,7 @@ from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.prescribed import motion_along
-from linkplan.planner.limits.kinds import effort_bounds, limits_of
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import OF_JOINTS, free_bounds
 from linkplan.planner.problem.motion import Waypoint
@@ -94,4 +94,4 @@ def _in_joints(problem: Problem, mechanism: GuidedMechanism, along: Trajectory) 
     degree = len(along.position) - 1
     parts = [np.einsum("pi,iks->pks", bernstein_part(degree, k / n, (k + 1) / n), along.position) for k in range(n)]
     place = np.stack(parts, axis=2).reshape(degree + 1, -1, 1)
-    return replace(motion, effort=np.clip(motion.effort, *effort_bounds(problem).T), along=place)  # rounding
+    return replace(motion, along=place)

@@ -11,7 +11,7 @@ from linkplan.models.guide.curve import Curve, curve_through
 from linkplan.models.guide.guided import guided
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, site_motion
-from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
@@ -19,6 +19,8 @@ from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.site_path import _in_joints
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.system import build_node
 from tests.bench.many_robots import delta
 from tests.support.refusals import assert_refused
@@ -472,3 +474,18 @@ def test_a_motor_that_is_too_weak_in_the_middle_of_a_path_is_named_with_what_it_
     plan = plan_motion(Problem.follow(gantry, path=line, start_m={"x": 0.0, "z": 0.0}, minimize="time"))
     lacks = "50% along the path, mz on joint z would have to give -5 N, 1 N beyond its limit of -4 N"
     assert plan.message == f"infeasible: {lacks}, to keep its site on the path"
+
+
+def test_efforts_along_a_path_are_those_of_the_joints_where_coefficients_lie_beyond_a_limit_that_no_effort_exceeds():
+    problem = Problem.follow(ARM, path={"site": "tip", "points": LINE}, start_deg={"q1": -60, "q2": 90}, duration_s=1.0)
+    start = close_at(problem.mechanism, problem.motion.start)
+    guide = problem.path.guided(problem.mechanism, start)
+    x = np.linspace(0.0, guide.curve.length, 4)[:, None, None]
+    effort = np.array([[-0.5, 0.3], [1.72, 0.4], [0.6, -0.2]])[:, None] * LIMIT
+    along = Trajectory(
+        breaks_s=[0.0, 1.0], position=x, velocity=np.ones((1, 1, 1)) * guide.curve.length, effort=effort,
+        start_pose=guide.home, periodic=False,
+    )  # fmt: skip
+    time = np.linspace(0.0, 1.0, 21)
+    assert np.all(np.abs(along.effort_at(time)) < LIMIT)
+    np.testing.assert_allclose(_in_joints(problem, guide, along).effort_at(time), along.effort_at(time), atol=1e-9)
