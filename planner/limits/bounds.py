@@ -33,9 +33,11 @@ class Affine:
     """A limited quantity that is affine in the acceleration and the effort at a pose and speeds: one value, or a vector.
 
     `value` gives it (n, n_rows) from q (n, n_q), v and a (n, n_s), u (n, n_u). One value is within the `bounds` [low, high];
-    the size of a vector is at most the second one. If it is `of_speed`, it is proportional to the speeds alone.
+    the size of a vector is at most the second one. If it is `of_speed`, it is proportional to the speeds alone. `force_of`
+    is the pin or closure whose force [N] it is.
     """
 
     value: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
     bounds: Sequence[float] | np.ndarray
     of_speed: bool = False
+    force_of: str = ""

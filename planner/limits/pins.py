@@ -105,8 +105,8 @@ class _ForceLimit(Limit):
 
     def affine(self, problem: Problem) -> Affine | None:
         mechanism = problem.mechanism
-        bounds = -np.inf, self.ratings(problem)[self.item][1]
-        return Affine(lambda q, v, a, u: self.along(mechanism, q, v, a, u), bounds)
+        name, most = self.ratings(problem)[self.item]
+        return Affine(lambda q, v, a, u: self.along(mechanism, q, v, a, u), (-np.inf, most), force_of=name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,19 +6,16 @@ reversed time the same is true for a motion that ends at speed.
 """
 
 import contextlib
-import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, needed_controls
+from linkplan.models.poses.along import needed_controls
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.models.tree.friction import frictions_of
 from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.efforts import holds_at_rest
@@ -32,6 +29,7 @@ from linkplan.planner.plan.verdict import Overrun, Verdict, infeasible
 from linkplan.planner.problem.consistency import lacking_at_rest
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import Task
+from linkplan.planner.search.every_motion import force_beyond, only_way, too_weak_on_the_path, where_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -100,9 +98,6 @@ def _beyond_the_range(problem: Problem, end: _End) -> Verdict | None:
 # Poses on the only path may exceed a limit by this share of the quantity's size; the solver and the certificate decide on
 # smaller overruns.
 ONLY_WAY_SLACK = 1e-6
-# Every so many poses of the only path are checked for too weak motors, and the share of the motors' generalised efforts that
-# a unit of acceleration or speed has there, in the units in which limits are violated.
-_POSES_APART, _WEAK_SHARE = 25, 1e-4
 
 
 def plain_contradiction(problem: Problem) -> Verdict | None:
@@ -115,7 +110,8 @@ def plain_contradiction(problem: Problem) -> Verdict | None:
         _not_held,
         no_way_to_stop,
         _mean_speed,
-        _too_weak_on_the_path,
+        too_weak_on_the_path,
+        force_beyond,
     )
     return next((verdict for look in looks if (verdict := look(problem)) is not None), None)
 
@@ -263,7 +259,7 @@ def pose_beyond(
             unit, title = f" {measured.unit}".rstrip(), limit.facts.words.format(measured.name)
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0
             words = (
-                f"{title} {limit.facts.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
+                f"{title} {limit.facts.verb} {value:.6g}{unit} {when or where_of(problem, poses[k])},"
                 f" {off[k]:.4g}{unit} {limit.facts.beyond} its limit of {nearest[k]:.6g}{unit}"
             )
             over = Overrun(
@@ -271,76 +267,6 @@ def pose_beyond(
             )
             return infeasible(words, known_by="every motion", overruns=(over,))
     return None
-
-
-def _where(problem: Problem, pose: np.ndarray) -> str:
-    """Return the phrase on a pose (n_q,) on the only path."""
-    (crank,), (driven,) = problem.mechanism.independent_joints, problem.mechanism.independent
-    return (
-        f"where {crank.name} = {crank.text(float(pose[driven]), 4)} {crank.unit}, between start and goal, where every motion"
-        " of one degree of freedom passes"
-    )
-
-
-@functools.lru_cache(maxsize=4)
-def only_way(problem: Problem) -> np.ndarray | None:
-    """Return poses (n, n_q) that every motion of one degree of freedom passes from start to goal; None for others."""
-    mechanism, motion = problem.mechanism, problem.motion
-    if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
-        return None
-    try:
-        between = np.linspace(motion.start, motion.goal, 401)
-        return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
-    except AssemblyError:  # the loops open on the path, which another check reports
-        return None
-
-
-def _too_weak_on_the_path(problem: Problem) -> Verdict | None:
-    """Return the verdict on a pose of a path at which no efforts within their limits keep its site on the path, or None.
-
-    With more equations than freedoms, the efforts u satisfy B u = tau_0 + g a + d v + c w, for the acceleration a, the speed
-    v and its square w along the path. Here a, v and w are efforts of three further actuators, so weak that only motors
-    violate their limits: v and w are at least 0, and 0 at the ends, from where the path leads forward in time.
-    """
-    mechanism, limit, poses = problem.mechanism, effort_bounds(problem), only_way(problem)
-    if mechanism.n_equations == mechanism.dof or poses is None or mechanism.forces is not None:
-        return None
-    if any(frictions_of(mechanism.model)) or not are_efforts_bounded(problem):
-        return None
-    poses, size, n_u = poses[::_POSES_APART], np.abs(limit).max(axis=1), mechanism.n_u
-    still = np.zeros((len(poses), 1))
-    tau, maps = demanded(mechanism, poses, still, still)
-    of_a, once, twice, thrice = (
-        demanded(mechanism, poses, still + v, still + a)[0] - tau for v, a in ((0, 1), (1, 0), (2, 0), (3, 0))
-    )
-    of_w = 0.5 * twice - once
-    of_v = once - of_w
-    ends = [0, -1]
-    if np.abs(3 * of_v + 9 * of_w - thrice).max() > 1e-9 * np.abs(thrice).max():  # damping of other powers of the speed
-        poses, tau, maps, of_a, of_v, of_w = (values[ends] for values in (poses, tau, maps, of_a, of_v, of_w))
-    further = -np.stack([of_a, of_v, of_w], axis=2)
-    weak = _WEAK_SHARE * (np.abs(maps) @ size).max() / np.maximum(np.abs(further).max(axis=(0, 1)), np.finfo(float).tiny)
-    limits = np.tile(np.vstack([limit, [[-np.inf, np.inf], [0, np.inf], [0, np.inf]]]), (len(poses), 1, 1))
-    limits[ends, n_u:] = 0.0
-    limits[0, n_u, 1], limits[-1, n_u, 0] = np.inf, -np.inf
-    effort = distribute(tau, np.concatenate([maps, weak * further], axis=2), limits)[:, :n_u]
-    nearest = np.clip(effort, *limit.T)
-    off = np.abs(effort - nearest)
-    k, j = np.unravel_index(int(np.argmax(off / size)), off.shape)
-    if off[k, j] <= missed_rounding(limit):
-        return None
-    actuator, share = mechanism.actuators[j], k / (len(poses) - 1)
-    where = {0.0: "at rest at the path's beginning", 1.0: "at rest at the path's end"}.get(
-        share, f"{share:.0%} along the path"
-    )
-    words = (
-        f"{where}, {actuator.name} on {actuator.target} would"
-        f" have to give {effort[k, j]:.4g} {actuator.unit}, {off[k, j]:.4g} {actuator.unit} beyond its limit of"
-        f" {nearest[k, j]:.4g} {actuator.unit}, to keep its site on the path"
-    )
-    value, bound = float(effort[k, j]), float(nearest[k, j])
-    over = Overrun(limit="effort", name=actuator.name, value=value, bound=bound, unit=actuator.unit)
-    return infeasible(words, known_by="every motion", overruns=(over,))
 
 
 def _beyond_ctrl(problem: Problem) -> Verdict | None:

@@ -23,8 +23,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import plan_from, without_solving
+from linkplan.planner.search.every_motion import only_way
 from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Search, run_search
-from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
