@@ -18,6 +18,8 @@ from linkplan.models.tree.friction import frictions_of
 
 # Violations of a joint's range below this are rounding of the assembly [rad or m].
 RANGE_ROUNDING = 1e-8
+# Functions with more values are evaluated sample by sample: CasADi lists the indices of all values of a mapped function.
+MAX_MAPPED = 4096
 
 
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
@@ -25,13 +27,16 @@ def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     n = len(arguments[0])
     if n == 0:
         return np.empty((0, *function.size_out(0)))
+    shape = function.size_out(0)
+    if np.prod(shape) > MAX_MAPPED:
+        return np.stack([evaluated(function, *one, outputs=1)[0] for one in zip(*arguments, strict=True)])
     (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
-    return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
+    return stacked.reshape(shape[0], n, shape[1]).transpose(1, 0, 2)
 
 
 def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return every joint's speed q' = Gamma v (n, n_q)."""
-    return np.einsum("kqs,ks->kq", sampled(mechanism.dynamics.velocity_map, q), v)
+    return sampled(_joint_rate(mechanism), q, v)[:, :, 0]
 
 
 def accelerations(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -42,6 +47,13 @@ def accelerations(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndar
 def jerks(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, j: np.ndarray) -> np.ndarray:
     """Return every joint's jerk (n, n_q), from those of the independent joints j (n, n_s)."""
     return sampled(joint_jerk(mechanism), q, v, a, j)[:, :, 0]
+
+
+@functools.lru_cache(maxsize=16)
+def _joint_rate(mechanism: Mechanism) -> ca.Function:
+    """Return the function from q and v to every joint's speed (n_q,)."""
+    q, v = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("v", mechanism.dof)
+    return ca.Function("rate", [q, v], [ca.densify(mechanism.dynamics.velocity_map(q) @ v)])
 
 
 @functools.lru_cache(maxsize=16)

@@ -77,21 +77,29 @@ def _slowness(mechanism: Mechanism, coordinate: int, rates: np.ndarray) -> float
     return 1.0 / float(moving.max() if np.any(moving) else share.max())
 
 
-@functools.lru_cache(maxsize=16)
 def turn_of(mechanism: Mechanism, coordinate: int) -> float:
     """Return the travel [rad] after which an independent hinge may be back: a turn, or the turn of what its gear drives.
 
     What drives slides alone never comes back; the travel is then that in which they move by about the mechanism's extent.
     """
+    return float(_turns(mechanism)[coordinate])
+
+
+@functools.lru_cache(maxsize=16)
+def _turns(mechanism: Mechanism) -> np.ndarray:
+    """Return the travel of `turn_of` for all coordinates (n_s,)."""
     gamma, n_q = mechanism.dynamics.velocity_map, mechanism.n_q
     varies = np.zeros(n_q * mechanism.dof, dtype=bool)
     varies[gamma.jac_sparsity(0, 0).row()] = True
     varies = varies.reshape((n_q, mechanism.dof), order="F")
     hinges = np.array([joint.turns for joint in mechanism.joints])
-    geared = hinges & ~varies[:, coordinate] & mattering(mechanism)
-    rates = np.where(geared, np.abs(np.array(gamma(mechanism.home))[:, coordinate]), 0.0)
-    scale = _slowness(mechanism, coordinate, rates) if np.any(rates) else float(travel_scales(mechanism)[coordinate])
-    return 2 * np.pi * scale
+    geared = (hinges & mattering(mechanism))[:, None] & ~varies
+    rates = np.where(geared, np.abs(np.array(gamma(mechanism.home))), 0.0)
+    scales = [
+        _slowness(mechanism, k, rates[:, k]) if np.any(rates[:, k]) else travel_scales(mechanism)[k]
+        for k in range(mechanism.dof)
+    ]
+    return 2 * np.pi * np.array(scales)
 
 
 def returned(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray | None:

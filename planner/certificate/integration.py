@@ -157,7 +157,7 @@ def integrate(
         shares[k] = np.concatenate([[0.0], at[(at > _CUT_SHARE) & (at < 1 - _CUT_SHARE)], [1.0]])
     trajectory, first = _cut(trajectory, shares)
     found = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
-    if not (np.all(found.position <= allowed) and found.velocity <= VELOCITY_SHARE):
+    if not (until.passed or (np.all(found.position <= allowed) and found.velocity <= VELOCITY_SHARE)):
         with contextlib.suppress(AssemblyError, OutOfTimeError):  # the motion is infeasible, or the deadline has passed
             found = _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or found
     return replace(found, growth=np.add.reduceat(found.growth, first))

@@ -41,8 +41,10 @@ class Leverage:
     def transmission(self, maps: np.ndarray) -> np.ndarray:
         """Return the least singular value (n,) of maps (n, n_s, n_u) in these units."""
         rows, columns = np.flatnonzero(self.units.any(axis=1)), np.flatnonzero(self.units.any(axis=0))
-        scaled = (maps * self.units)[:, rows[:, None], columns]
-        return np.linalg.svd(scaled, compute_uv=False)[:, -1] if scaled.size else np.ones(len(maps))
+        distinct = maps[:1] if np.all(maps == maps[:1]) else maps  # motors on the coordinates have the same everywhere
+        scaled = (distinct * self.units)[:, rows[:, None], columns]
+        least = np.linalg.svd(scaled, compute_uv=False)[:, -1] if scaled.size else np.ones(len(distinct))
+        return np.broadcast_to(least, len(maps))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -152,8 +154,8 @@ class Samples(Poses):
 
         The latter counts without any effort, as for a crank that turns freely.
         """
-        inertia = sampled(self.problem.mechanism.dynamics.reduced_inertia, self.q)
-        inertial = float(np.abs(np.einsum("kst,kt->ks", inertia, self.a)).max())
+        still, mechanism = np.zeros_like(self.a), self.problem.mechanism
+        inertial = float(np.abs(self.demanded[0][0] - demanded(mechanism, self.q, self.v, still, self.time)[0]).max())
         return max(missed_rounding(self.problem.limits.effort), 1e-6 * inertial)
 
     @cached_property
@@ -170,10 +172,7 @@ class Samples(Poses):
     @cached_property
     def at_dead_centre(self) -> np.ndarray:
         """True (n,) where the actuators are at a dead centre."""
-        maps = self.demanded[1]
-        distinct = maps[:1] if np.all(maps == maps[:1]) else maps  # motors on the coordinates have the same everywhere
-        near = self.leverage.transmission(distinct) < self.leverage.least
-        return np.broadcast_to(near, len(self.time))
+        return self.leverage.transmission(self.demanded[1]) < self.leverage.least
 
     @cached_property
     def needed_efforts(self) -> np.ndarray:
