@@ -81,7 +81,7 @@ def new(
         write_new(target, text.encode("utf-8"))
     folder = None if target is None else target.parent
     return NewProblem(
-        problem=Problem.from_tables(f"{found.mechanism.name}-first", tables, folder),
+        problem=Problem.from_tables(f"{found.mechanism.name}-first", tables, folder, found.mechanism),
         plan=None if found.plan is None else Plan.of(found.plan),
         text=text,
         description=found.description,

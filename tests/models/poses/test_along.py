@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.along import felt_inertia
+from linkplan.models.poses import along
+from linkplan.models.poses.along import felt_inertia, joint_rates, sampled
 from linkplan.models.poses.assembly import advance, follow, in_loops
 from linkplan.models.poses.reach import reach, toggles
 from tests.support.parallel_ankle import ankle_text, soft_ankle
@@ -99,3 +100,12 @@ def test_contacts_asked_for_between_parts_that_stand_still_do_not_count():
           <actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>"""
     )
     assert felt_inertia(mechanism, mechanism.home) == pytest.approx([2 * (0.2**2 + 0.4 * 0.1**2)])
+
+
+def test_functions_with_many_values_are_not_mapped_over_samples(arm, swept, monkeypatch):
+    """Both ways give the same values, and the rates are those of the velocity map."""
+    gamma, v = sampled(arm.dynamics.velocity_map, swept), np.linspace(0.0, 1.0, 80).reshape(40, 2)
+    np.testing.assert_allclose(joint_rates(arm, swept, v), np.einsum("kqs,ks->kq", gamma, v), atol=1e-12)
+    monkeypatch.setattr(along, "MAX_MAPPED", gamma[0].size - 1)
+    monkeypatch.setattr(along, "mapped", lambda *_: pytest.fail("the function was mapped"))
+    np.testing.assert_array_equal(sampled(arm.dynamics.velocity_map, swept), gamma)
