@@ -483,7 +483,7 @@ def test_efforts_along_a_path_are_those_of_the_joints_where_coefficients_lie_bey
     x = np.linspace(0.0, guide.curve.length, 4)[:, None, None]
     effort = np.array([[-0.5, 0.3], [1.72, 0.4], [0.6, -0.2]])[:, None] * LIMIT
     along = Trajectory(
-        breaks_s=[0.0, 1.0], position=x, velocity=np.ones((1, 1, 1)) * guide.curve.length, effort=effort,
+        breaks_s=np.array([0.0, 1.0]), position=x, velocity=np.ones((1, 1, 1)) * guide.curve.length, effort=effort,
         start_pose=guide.home, periodic=False,
     )  # fmt: skip
     time = np.linspace(0.0, 1.0, 21)
