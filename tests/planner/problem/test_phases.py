@@ -90,7 +90,7 @@ def test_the_file_is_right_without_its_fault(tmp_path):
     prepared(FILE, tmp_path)
 
 
-def test_a_setting_of_a_phase_is_refused_by_its_list(tmp_path):
+def test_a_setting_of_an_unknown_phase_is_refused(tmp_path):
     path = tmp_path / "hop.toml"
     path.write_text(FILE, encoding="utf-8")
-    assert_refused(lambda: PhasedProblem.from_file(path, {"phases.0.rest": True}), "'phases' is a list, whose entries")
+    assert_refused(lambda: PhasedProblem.from_file(path, {"phases.0.rest": True}), "unknown phase '0'; legal: push, flight")
