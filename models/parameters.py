@@ -31,7 +31,7 @@ import numpy as np
 
 from linkplan.models.closure.equations import equality_name
 from linkplan.models.errors import ModelError, nearest
-from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, joints_of, tied_points
+from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, joints_of, make_dry, tied_points
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.symbolic_model import Entry, SymbolicModel
 from linkplan.models.tree.coordinates import joint_label, rotation_from_quaternion
@@ -182,18 +182,31 @@ def write_values(model: mujoco.MjModel, parameters: Sequence[Parameter], values:
                 f"body '{model.body(body).name}' is no rigid body: its largest moment exceeds the sum of the other two, got"
                 f" {model.body_inertia[body].tolist()} kg m2"
             )
-    _derive(model)
+    derive(model)
 
 
-def _derive(model: mujoco.MjModel) -> None:
+def derive(model: mujoco.MjModel) -> None:
     """Compute what MuJoCo derives from the numbers of a model, except places and lengths that are numbers of their own.
 
     MuJoCo would place the second end of each connect and weld between bodies, and the reference lengths of tendons, anew.
     """
+    make_dry(model, model.dof_frictionloss > 0)
+    _separate_frames(model)
     kept = {name: getattr(model, name).copy() for name in ("eq_data", "tendon_length0", "tendon_lengthspring")}
     mujoco.mj_setConst(model, mujoco.MjData(model))
     for name, values in kept.items():
         getattr(model, name)[:] = values
+
+
+def _separate_frames(model: mujoco.MjModel) -> None:
+    """Clear the compiler's marks of coinciding frames, with which MuJoCo ignores places, where they no longer coincide."""
+    for kind, owner in (("body", np.arange(model.nbody)), ("site", model.site_bodyid), ("geom", model.geom_bodyid)):
+        place = model.body_ipos if kind == "body" else getattr(model, f"{kind}_pos")
+        same = getattr(model, f"{kind}_sameframe")
+        of_inertia = same == int(mujoco.mjtSameFrame.mjSAMEFRAME_INERTIA)
+        origin = np.where(of_inertia[:, None], model.body_ipos[owner], 0.0)
+        marked = of_inertia | (same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY))
+        same[marked & np.any(place != origin, axis=1)] = 0
 
 
 def without_values(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> mujoco.MjModel:
@@ -204,7 +217,7 @@ def without_values(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> mu
     for one in parameters:
         for field, index in one.sets:
             getattr(model, field)[index] = 1.0
-    _derive(model)
+    derive(model)
     model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which only the simulator uses
     return model
 
@@ -267,26 +280,19 @@ class _Pin:
 def _pins(model: mujoco.MjModel, body: int) -> list[_Pin]:
     """Return the pins of a body at its reference pose: its own joint, its children's joints, and its closures' points."""
     found: list[tuple[np.ndarray, bool, list[tuple[str, int, int]]]] = []
-    turning = (HINGE, BALL)
     for joint in joints_of(model, body):
-        if int(model.jnt_type[joint]) in turning:
+        if int(model.jnt_type[joint]) in (HINGE, BALL):
             found.append((np.array(model.jnt_pos[joint]), True, []))
     for child in range(body + 1, model.nbody):
         if int(model.body_parentid[child]) != body:
             continue
-        hinges = [joint for joint in joints_of(model, child) if int(model.jnt_type[joint]) in turning]
+        hinges = [joint for joint in joints_of(model, child) if int(model.jnt_type[joint]) in (HINGE, BALL)]
         turn = rotation_from_quaternion(model.body_quat[child])
         for joint in hinges[:1]:
             place = model.body_pos[child] + turn @ model.jnt_pos[joint]
             found.append((place, False, [("body_pos", child, 0)]))
     for index in np.flatnonzero(model.eq_active0).tolist():
-        at_sites = int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE)
-        for end, (tied, place) in enumerate(tied_points(model, index)):
-            if tied != body:
-                continue
-            column = 3 * end if int(model.eq_type[index]) == int(mujoco.mjtEq.mjEQ_CONNECT) else 3 * (1 - end)
-            moves = [] if at_sites else [("eq_data", index, column)]
-            found.append((np.array(place), False, moves))
+        found += [(place, False, moves) for place, moves in _tied(model, index, body)]
     size = max((float(np.linalg.norm(place)) for place, _, _ in found), default=0.0)
     pins: list[_Pin] = []
     for place, own, moves in found:
@@ -300,6 +306,40 @@ def _pins(model: mujoco.MjModel, body: int) -> list[_Pin]:
             if int(model.site_bodyid[site]) == body and np.linalg.norm(pin.place - model.site_pos[site]) <= _SAME_PIN * size:
                 pin.moves.append(("site_pos", site, 0))
     return pins
+
+
+def _tied(model: mujoco.MjModel, index: int, body: int) -> Iterator[tuple[np.ndarray, list[tuple[str, int, int]]]]:
+    """Return a closure's points on a body (3,) [m], each with its own place in the model; a site's is the site."""
+    at_sites = int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE)
+    for end, (tied, place) in enumerate(tied_points(model, index)):
+        if tied == body:
+            column = 3 * end if int(model.eq_type[index]) == int(mujoco.mjtEq.mjEQ_CONNECT) else 3 * (1 - end)
+            yield np.array(place), [] if at_sites else [("eq_data", index, column)]
+
+
+def link_size(model: mujoco.MjModel, body: int) -> Parameter:
+    """Return the factor on a link's size: it scales all points fixed to the link, and to a payload, about its joint."""
+    joints = joints_of(model, body)
+    about = model.jnt_pos[joints[0]].copy() if len(joints) else np.zeros(3)
+    places = [(field, (row, start + k), at[k]) for field, row, start, at in _fixed(model, body, about) for k in range(3)]
+    sets = {(field, at): (float(centre), float(getattr(model, field)[at] - centre)) for field, at, centre in places}
+    return Parameter(name=f"size of {model.body(body).name}", unit="", value=1.0, least=_SAME_PIN, sets=sets)
+
+
+def _fixed(model: mujoco.MjModel, body: int, about: np.ndarray) -> Iterator[tuple[str, int, int, np.ndarray]]:
+    """Return the places fixed to a body as field, row and first column, each with the point that it is scaled about."""
+    yield "body_ipos", body, 0, about
+    for field, owner in (
+        ("body_pos", model.body_parentid),
+        ("site_pos", model.site_bodyid),
+        ("geom_pos", model.geom_bodyid),
+    ):
+        yield from ((field, row, 0, about) for row in np.flatnonzero(owner == body).tolist())
+    for index in range(model.neq):
+        yield from ((*move, about) for _, moves in _tied(model, index, body) for move in moves)
+    for child in np.flatnonzero(model.body_parentid == body).tolist():
+        if child != body and model.body_dofnum[child] == 0:
+            yield from _fixed(model, child, np.zeros(3))
 
 
 def _length(model: mujoco.MjModel, body: int, name: str) -> Parameter | None:

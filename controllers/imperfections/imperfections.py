@@ -68,12 +68,14 @@ class Drives:
 class Machine:
     """The differences between the machine and its model.
 
+    `parameters` are values [SI] of numbers of the model by name (`models.parameters`); the other differences apply to these.
     `viscous` [N.m.s/rad or N.s/m] and `coulomb` [N.m or N] friction (n_q,) are added at every joint. `mass_factor`
     multiplies the payload's mass and inertia, or those of all moving bodies without a payload. `com_shift_m` (3,) moves the
     payload's centre of mass in its body's frame. `length_factor` scales the points fixed to a body about the body's joint.
     `loop_solref` replaces the time constant [s] and damping ratio of the loop constraints.
     """
 
+    parameters: Mapping[str, float] = field(default_factory=dict)
     viscous: Each = 0.0
     coulomb: Each = 0.0
     mass_factor: float = 1.0
@@ -142,6 +144,7 @@ def imperfections_from(
         return np.radians(each(independent, stem + angle, 0.0)) + each(independent, stem + length, 0.0)
 
     machine = Machine(
+        parameters=given.get("parameters", {}),
         viscous=each(joints, "viscous_friction", 0.0),
         coulomb=each(joints, "coulomb_friction", 0.0),
         mass_factor=one.get("payload_mass_factor", 1.0),

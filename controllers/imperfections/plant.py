@@ -18,8 +18,8 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import root_by_newton
 from linkplan.models.errors import AssemblyError, LinkplanError, choose
-from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import chosen_parameters, derive, link_size, write_values
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import equality_jacobian, needed_effort
 from linkplan.models.poses.assembly import continue_to
@@ -100,13 +100,10 @@ def plant(
     machine, clock = imperfect.machine, imperfect.clock
     model = copy.deepcopy(mechanism.model)
     data = mujoco.MjData(model)  # shared by all computations below, because its creation is slow
-    scale_masses(model, data, loop.mass_factor * machine.mass_factor)
     timestep_s = clock.period_factor * reference.period_s / substeps
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     prepare(model, mechanism, timestep_s, np.maximum(1.0, constants)[:, None] * loop.effort_limit)
-    model.dof_damping[:] += machine.viscous
-    model.dof_frictionloss[:] += machine.coulomb
-    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
+    change_numbers(model, machine, loop.mass_factor * machine.mass_factor)
     if machine.loop_solref is not None:
         least = _MIN_TIME_CONSTANT_STEPS * float(model.opt.timestep)
         if machine.loop_solref[0] < least * (1 - 1e-9):
@@ -115,8 +112,6 @@ def plant(
                 f" got {machine.loop_solref[0]:g} s"
             )
         model.eq_solref[:] = machine.loop_solref
-    if machine.com_shift_m is not None or machine.length_factor:
-        _change_geometry(model, data, machine)
     pose, rates = start_of(model, data, mechanism, reference, imperfect)
     return ImperfectPlant(model=model, pose=pose, rates=rates)
 
@@ -147,7 +142,9 @@ def start_of(
     s = position + imperfect.start.position_error
     v = velocity + imperfect.start.velocity_error
     as_planned = (
-        not machine.length_factor and np.all(s == reference.position_rad[0]) and np.all(v == reference.velocity_rad_s[0])
+        not (machine.length_factor or machine.parameters)
+        and np.all(s == reference.position_rad[0])
+        and np.all(v == reference.velocity_rad_s[0])
     )
     if as_planned:
         gamma = np.array(mechanism.dynamics.velocity_map(reference.pose_rad[0]))
@@ -176,16 +173,29 @@ def held_before(mechanism: Mechanism, reference: SampledReference, loop: Control
     return held if given is None else np.where(np.isfinite(given), given, held)
 
 
-def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:
-    """Multiply mass and inertia of the payload, or of all moving bodies without one; `data` is overwritten."""
-    if factor == 1.0:
-        return
-    bodies = [body for body in range(1, model.nbody) if model.body_weldid[body] != 0]
-    payload = [body for body in bodies if model.body(body).name == BODY_NAME]
-    for body in payload or bodies:
-        model.body_mass[body] *= factor
-        model.body_inertia[body] *= factor
-    mujoco.mj_setConst(model, data)
+def change_numbers(model: mujoco.MjModel, machine: Machine, mass_factor: float = 1.0) -> None:
+    """Write into a model the numbers in which a machine differs from it: named ones first, then factors and additions.
+
+    The factor multiplies mass and inertia of the payload, or of all moving bodies without one.
+
+    Raises:
+        LinkplanError: for numbers that no machine has, or an unknown body.
+    """
+    if machine.parameters:
+        write_values(model, chosen_parameters(model, machine.parameters), list(machine.parameters.values()))
+    if machine.length_factor:
+        sizes = [link_size(model, body_index(model, name)) for name in machine.length_factor]
+        write_values(model, sizes, list(machine.length_factor.values()))
+    moving = [body for body in range(1, model.nbody) if model.body_weldid[body] != 0]
+    bodies = [body for body in moving if model.body(body).name == BODY_NAME] or moving
+    model.body_mass[bodies] *= mass_factor
+    model.body_inertia[bodies] *= mass_factor
+    if machine.com_shift_m is not None:
+        model.body_ipos[body_index(model, BODY_NAME)] += machine.com_shift_m
+    model.dof_damping[:] += machine.viscous
+    model.dof_frictionloss[:] += machine.coulomb
+    if mass_factor != 1.0 or machine.com_shift_m is not None or np.any(machine.coulomb):
+        derive(model)
 
 
 def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
@@ -215,45 +225,6 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
             if model.jnt_actfrclimited[joint] and arm:
                 # The actuator's limit already accounts for the joint's limit.
                 model.jnt_actfrclimited[joint] = False
-
-
-def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
-    """Scale links, move the payload's centre of mass, and update MuJoCo's derived constants except closure points."""
-    for name, factor in machine.length_factor.items():
-        body = body_index(model, name)
-        joints = np.flatnonzero(model.jnt_bodyid == body)
-        about = model.jnt_pos[joints[0]].copy() if len(joints) else np.zeros(3)
-        _scale_points(model, body, about, factor)
-    if machine.com_shift_m is not None:
-        body = body_index(model, BODY_NAME)
-        model.body_ipos[body] += machine.com_shift_m
-        _separate_frames(model, body)
-    kept = model.eq_data.copy()
-    mujoco.mj_setConst(model, data)
-    model.eq_data[:] = kept
-
-
-def _scale_points(model: mujoco.MjModel, body: int, about: np.ndarray, factor: float) -> None:
-    """Scale the points fixed to a body about a point (3,) of its frame, and those of bodies welded to it: a payload."""
-    places = [model.body_ipos[body]]
-    places += [model.body_pos[i] for i in np.flatnonzero(model.body_parentid == body)]
-    places += [model.site_pos[i] for i in np.flatnonzero(model.site_bodyid == body)]
-    places += [model.geom_pos[i] for i in np.flatnonzero(model.geom_bodyid == body)]
-    for i in np.flatnonzero(model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)).tolist():  # sites have moved already
-        places += [point for end, point in tied_points(model, i) if end == body]
-    for points in places:  # views
-        points[:] = about + factor * (points - about)
-    _separate_frames(model, body)
-    for child in np.flatnonzero(model.body_parentid == body):
-        if child != body and model.body_dofnum[child] == 0:
-            _scale_points(model, int(child), np.zeros(3), factor)
-
-
-def _separate_frames(model: mujoco.MjModel, body: int) -> None:
-    """Clear the compiler's marks of coinciding frames, which no longer coincide after a change of geometry."""
-    model.body_sameframe[body] = 0
-    model.site_sameframe[model.site_bodyid == body] = 0
-    model.geom_sameframe[model.geom_bodyid == body] = 0
 
 
 def body_index(model: mujoco.MjModel, name: str) -> int:

@@ -7,11 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from linkplan.models.errors import ProblemError, nearest
+import numpy as np
+
+from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import chosen_parameters
 from linkplan.planner.problem.keys.imperfections import QUANTITIES, WORDS
 from linkplan.planner.problem.keys.reading import refuse_unknown_keys
 from linkplan.planner.problem.keys.section import FORMS, Quantity
+from linkplan.planner.problem.parameters import read_parameters
 from linkplan.planner.problem.settings import number
 
 
@@ -106,7 +110,7 @@ def imperfections_of(table: Any, mechanism: Mechanism) -> ImperfectionFactors:
     refuse_unknown_keys({"imperfections": table})
     factors: list[Factor] = []
     for key, value in table.items():
-        if key in WORDS:
+        if key in WORDS or key == "parameters":
             continue
         names = _names(QUANTITIES[key].of, mechanism)
         if QUANTITIES[key].of and not names:
@@ -124,9 +128,43 @@ def imperfections_of(table: Any, mechanism: Mechanism) -> ImperfectionFactors:
         else:
             spread = spread_of(value, key, key)
             factors += [Factor(key=key, name=name, spread=spread) for name in names]
+    for name, one in _numbers(table.get("parameters", {}), mechanism).items():
+        factors.append(Factor(key="parameters", name=name, spread=spread_of(one, "parameters", f"parameters.{name}")))
     pushed = {word: _word(table, word, mechanism) for word in WORDS}
     _check_push({factor.key for factor in factors}, pushed)
     return ImperfectionFactors(factors=tuple(factors), **pushed)
+
+
+def drawn_parameters(mechanism: Mechanism) -> dict[str, Any]:
+    """Return the distributions [SI] of the numbers in [parameters], each by its `range`, else its `sd` or `tolerance`."""
+    values, drawn = {one.name: one.value for one in mechanism.parameters}, {}
+    for name, one in read_parameters(mechanism.source.get("parameters", {})).items():
+        if one.range is not None:
+            drawn[name] = list(one.range)
+        elif one.sd is not None:
+            drawn[name] = {"normal": [values[name], one.sd]}
+        elif one.tolerance is not None:
+            drawn[name] = [values[name] - one.tolerance, values[name] + one.tolerance]
+    return drawn
+
+
+def _numbers(given: Any, mechanism: Mechanism) -> dict[str, Any]:
+    """Return the distributions of numbers of the model by name: those given, and of the others those of [parameters]."""
+    if not isinstance(given, Mapping) or is_spread(given):
+        raise ProblemError(f"imperfections.parameters must be a table by name; each value is {FORMS}, got {given!r}")
+    numbers = drawn_parameters(mechanism) | given
+    known = {one.name for one in mechanism.parameters}
+    try:
+        chosen = chosen_parameters(mechanism.model, numbers)
+    except ModelError as error:
+        raise ProblemError(f"imperfections.parameters: {error}") from error
+    for one in chosen:
+        if one.name not in known and np.any(mechanism.model.body_simple):
+            raise ProblemError(
+                f"imperfections.parameters names '{one.name}', which this model's compiler has folded; name it in"
+                " [parameters], too"
+            )
+    return numbers
 
 
 _WHAT = {

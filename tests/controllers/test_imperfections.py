@@ -108,7 +108,12 @@ def test_every_field_in_which_a_machine_differs_is_that_of_its_own_model_in_a_ba
 
 
 # A value of each type of field that differs from every neutral one.
-ANOTHER = {"com_shift_m": np.zeros(3), "length_factor": {"coupler": 1.01}, "loop_solref": (0.02, 1.0)}
+ANOTHER = {
+    "parameters": {"coupler.mass": 0.1},
+    "com_shift_m": np.zeros(3),
+    "length_factor": {"coupler": 1.01},
+    "loop_solref": (0.02, 1.0),
+}
 
 
 @pytest.mark.parametrize(
@@ -120,6 +125,21 @@ def test_a_machine_with_any_other_value_is_not_nominal(part, name):
     changed = replace(neutral, **{name: ANOTHER.get(name, np.array([0.5, 0.25]))})
     assert is_nominal(Imperfections())
     assert not is_nominal(replace(Imperfections(), **{part: changed}))
+
+
+def test_numbers_by_name_make_the_machine_that_the_mechanism_with_them_is():
+    mechanism, reference = reach()
+    values = {"payload.mass": 4.4, "coupler.length": 0.0743, "A.friction": 0.02, "O.axis_y": 0.9, "crank.com_x": 0.01}
+    machine = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(parameters=values)), 1)
+    other = mechanism.with_parameters(values)
+    expected = plant(other, reference, LOOP, Imperfections(), 1).model
+    for field in ("body_mass", "body_ipos", "eq_data", "site_pos", "dof_frictionloss", "jnt_axis", "dof_solref"):
+        np.testing.assert_allclose(
+            getattr(machine.model, field), getattr(expected, field), rtol=0, atol=1e-15, err_msg=field
+        )
+    shift = machine.pose - reference.pose_rad[0]
+    assert np.abs(shift[mechanism.dependent]).max() > 1e-4
+    assert np.abs(other.equations.closure(machine.pose)).max() < 1e-12
 
 
 def test_a_machine_whose_arrays_are_neutral_is_nominal():

@@ -12,8 +12,8 @@ from mujoco.batch import Batch
 
 from linkplan.controllers.feedback_loop import LoopLog
 from linkplan.controllers.imperfections.batch_effects import ClosureWatch
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections
-from linkplan.controllers.imperfections.plant import scale_masses
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine
+from linkplan.controllers.imperfections.plant import change_numbers
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, bytes_each
 from linkplan.controllers.trackers.pd import pd
@@ -113,7 +113,7 @@ def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjMod
 
 def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
     model = copy.deepcopy(mechanism.model)
-    scale_masses(model, mujoco.MjData(model), factor)
+    change_numbers(model, Machine(), factor)
     return model
 
 

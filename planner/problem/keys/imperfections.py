@@ -39,6 +39,13 @@ class ImperfectionsSection(Section, frozen=True):
     torque_constant_factor: Any = quantity("ratio of actual to commanded effort", "", 0.01, 100.0, of="actuator")
     viscous_friction: Any = quantity("damping of any joint, added to the model's", "N.m.s/rad or N.s/m", 0.0, of="joint")
     coulomb_friction: Any = quantity("dry friction of any joint", "N.m or N", 0.0, of="joint")
+    parameters: Any = quantity(
+        "numbers of the model by name, which `check` with `parameters` lists, in place of those in [parameters] that have"
+        " a range, sd or tolerance",
+        "SI",
+        of="parameter",
+        otherwise="as in [parameters]",
+    )
     payload_mass_factor: Any = quantity(
         "factor on the mass and inertia of the payload, or of all moving bodies if there is none",
         "",

@@ -162,8 +162,8 @@ FORMS = "a number, a range [low, high], { uniform = [low, high] } or { normal = 
 class Quantity:
     """A quantity that can be wrong: its unit, its range, and its owner.
 
-    `of` is "" for the whole machine, "hinge" or "slide" (independent joints of that kind), "joint" (any), "actuator" or
-    "body".
+    `of` is "" for the whole machine, "hinge" or "slide" (independent joints of that kind), "joint" (any), "actuator",
+    "body" or "parameter".
     """
 
     unit: str

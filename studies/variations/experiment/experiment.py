@@ -21,10 +21,11 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import is_payload_s_weight
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.folder import versions
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.imperfections import Factor, ImperfectionFactors, Spread, imperfections_of
+from linkplan.planner.problem.imperfections import Factor, ImperfectionFactors, Spread, drawn_parameters, imperfections_of
 from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare.compare import control_loop, tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
@@ -129,6 +130,8 @@ def default_imperfections(plan: Plan) -> dict:
         "payload_mass_factor": [0.9, 1.1],
         "link_length_factor": {"normal": [1.0, 2e-4]},
     }
+    if any(is_payload_s_weight(name) for name in drawn_parameters(mechanism)):
+        del table["payload_mass_factor"]  # it is known better
     kinds = {joint.kind for joint in mechanism.independent_joints}
     if "hinge" in kinds:
         table |= {
@@ -314,7 +317,7 @@ def defaults_note(plan: Plan) -> str | None:
         return f"without [imperfections], those of a carefully built machine are used: {names}"
     return (
         None
-        if section.to_dict()
+        if section.to_dict() or drawn_parameters(plan.problem.mechanism)
         else "[imperfections] is empty: all machines are equal, so shares and intervals have no meaning"
     )
 

@@ -216,6 +216,21 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
     assert outcome.results["failure"][one.worst[0]] is not None  # failures are the worst
 
 
+def test_numbers_of_the_model_are_drawn_by_name_and_those_of_the_problem_by_themselves(tmp_path):
+    by_table = ("parameters.payload.mass={ range = [3.5, 4.5] }", "parameters.A.armature={ value = 0.012, sd = 0.001 }")
+    by_name = "imperfections.parameters={ 'coupler.length' = { normal = [0.0741, 1e-5] }, 'A.armature' = 0.02 }"
+    outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=6), overrides=(SHORT, *by_table, by_name))
+    mass = outcome.results["imperfection.parameters.payload.mass"]
+    assert mass.min() >= 3.5
+    assert mass.max() <= 4.5
+    assert np.ptp(mass) > 0.5
+    machine = outcome.experiment.machine(2).machine.parameters
+    assert machine["payload.mass"] == mass[2]
+    assert machine["A.armature"] == 0.02
+    assert 0 < abs(machine["coupler.length"] - 0.0741) < 1e-4
+    assert "payload_mass_factor" not in default_imperfections(outcome.experiment.plan)
+
+
 def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
     overrides = (SHORT, "imperfections.link_length_factor={ coupler = [0.5, 3.0] }")
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12), overrides=overrides)
@@ -230,6 +245,8 @@ def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
         ("imperfections.delay=1", "did you mean 'delay_periods'"),
         ("imperfections.coulomb_friction={ K = 1 }", "names 'K'"),
         ("imperfections.encoder_resolution_m=1e-3", "independent slides; the mechanism has none"),
+        ("imperfections.parameters={ 'coupler.lenght' = 0.07 }", "unknown parameter 'coupler.lenght'"),
+        ("imperfections.parameters=1.0", "imperfections.parameters must be a table by name"),
         ("imperfections.push_effort=1", "needs the target of the push: imperfections.push_joint"),
         ("imperfections.push_body='crank'", "needs the force of the push"),
         ("imperfections.torque_constant_factor=[1.1, 0.9]", "must have its low end first"),
