@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.parameters import Parameter, is_payload_s_weight
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import advance, steps_to
 from linkplan.models.poses.period import turn_of
@@ -30,8 +31,10 @@ from linkplan.studies.output.report_file import report_of
 OBJECTIVES = ("effort", "time", "work")
 # Writes the problem file of a problem and returns its path.
 Save = Callable[[Problem], str]
-# Sliders of duration and payload go from a quarter to four times the problem's value; those of gains go further.
+# Sliders of duration, payload and parameters go from a quarter to four times the problem's value; those of gains go further.
 _SLIDER_FACTOR, _GAIN_FACTOR = 4.0, 16.0
+# Sliders of numbers that move pins, without a range, go this share of the mechanism's size to either side.
+_PIN_SHARE = 0.05
 # Sliders end this share of their length before the pose at which the loop opens, where rounding decides if it closes.
 _INSIDE_SHARE = 2e-6
 
@@ -76,7 +79,7 @@ class Session:
         return {"sliders": sliders, **choices, "trackers": TRACKERS, "tracker": self.tracker}
 
     def sliders(self) -> list[Slider]:
-        """Return the sliders: start and goal of the independent joints, duration, effort limits, payload, gains of PD."""
+        """Return the sliders: those of the joints' start and goal, duration, efforts, payload, parameters, gains of PD."""
         problem = self.first
         motion = problem.to_dict()["motion"]
         found = []
@@ -93,8 +96,10 @@ class Session:
             found.append(_about("duration_s", "duration", "s", float(motion["duration_s"])))
         if np.isfinite(effort_bounds(problem)).any():
             found.append(Slider(key="effort_percent", label="effort limits", unit="%", low=10.0, high=100.0, value=100.0))
-        if problem.mechanism.payload is not None:
+        named = [one for one in problem.mechanism.parameters if one.name in problem.to_dict().get("parameters", {})]
+        if problem.mechanism.payload is not None and not any(is_payload_s_weight(one.name) for one in named):
             found.append(_about("payload_kg", "payload", "kg", problem.mechanism.payload.mass_kg))
+        found += [slider for one in named if (slider := self._number(one)) is not None]
         joints, tracking = problem.mechanism.independent_joints, problem.tracking
         for place, name in enumerate(("kp", "kd")):  # one for all joints or one for each; none for a gain of zero
             given = getattr(tracking, name)
@@ -105,6 +110,23 @@ class Session:
                 rows = [(f"{name}.{joint}", f"{name} {joint}", units[joint], value) for joint, value in given.items()]
             found += [_about(*row, _GAIN_FACTOR) for row in rows if row[-1] > 0]
         return found
+
+    def _number(self, one: Parameter) -> Slider | None:
+        """Return the slider of a parameter over its range, or about its value; None for a zero without a range."""
+        key, given = f"parameters.{one.name}", self._table(one.name)
+        if "range" in given:
+            low, high = given["range"]
+            return Slider(key=key, label=one.name, unit=one.unit, low=low, high=high, value=one.value)
+        if one.moves_pins:
+            half = _PIN_SHARE * (self.first.mechanism.extent_m if one.unit == "m" else 1.0)
+            low, high = max(one.least, one.value - half), one.value + half
+            return Slider(key=key, label=one.name, unit=one.unit, low=low, high=high, value=one.value)
+        return _about(key, one.name, one.unit, one.value) if one.value > 0 else None
+
+    def _table(self, name: str) -> dict:
+        """Return the table of a named parameter in the problem's file."""
+        given = self.first.to_dict()["parameters"][name]
+        return given if isinstance(given, dict) else {"value": given}
 
     def problem_at(self, values: Mapping[str, object], objective: str | None) -> Problem:
         """Return the problem at values of the sliders by key.
@@ -148,7 +170,12 @@ class Session:
         if key == "payload_kg":
             payload = self.first.mechanism.payload
             return {"mechanism.payload": payload.scaled(value / payload.mass_kg).table()}
-        if key.partition(".")[0] in ("kp", "kd"):
+        kind, _, name = key.partition(".")
+        if kind == "parameters":
+            twice = name == "payload.mass" and isinstance(self.first.to_dict()["mechanism"].get("payload"), dict)
+            also = {"mechanism.payload.mass_kg": value} if twice else {}
+            return {} if value == slider.value else {key: self._table(name) | {"value": value}} | also
+        if kind in ("kp", "kd"):
             return {f"tracking.{key}": value}
         end = key.partition("_")[0]
         if end not in ("start", "goal") or value == slider.value:

@@ -93,6 +93,19 @@ def test_values_are_those_of_the_planned_problem(session):
     assert session.problem_at(values, "time").motion.duration_s is None
 
 
+@pytest.mark.parametrize("payload", ["'shank'", "{ mass_kg = 4.0, body = 'coupler', com_m = [0.1, 0.0, 0.0] }"])
+def test_every_number_that_the_problem_names_has_a_slider(payload):
+    named = ("payload.mass={ range = [3.5, 4.5] }", "coupler.length={ tolerance = 1e-4 }", "A.damping=0.01")
+    problem = load_problem("knee-reach", [f"mechanism.payload={payload}", *(f"parameters.{one}" for one in named)])
+    varied = Session(first=problem)
+    found = {one.key: one for one in varied.sliders()}
+    assert "payload_kg" not in found
+    assert (found["parameters.payload.mass"].low, found["parameters.payload.mass"].high) == (3.5, 4.5)
+    moved = varied.problem_at({"parameters.payload.mass": 4.4, "parameters.coupler.length": 0.075}, None).mechanism
+    assert moved.payload.mass_kg == 4.4
+    assert {one.name: one.value for one in moved.parameters}["coupler.length"] == 0.075
+
+
 def test_what_no_slider_gives_is_refused(session):
     for values, said in (
         ({"goal_deg.A": 1.0}, "unknown slider"),
