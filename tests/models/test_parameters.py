@@ -1,16 +1,21 @@
 """Numbers of a model as symbols: the equations at other values are those of the model with these values."""
 
+import json
+
 import casadi as ca
 import mujoco
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import LinkplanError, ModelError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.parameters import parameters_of
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.selected_model import whole_model_text
+from tests.support.data import DATA
 
 FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><site name="s0" pos="0 0.01 0"/>
   <body name="near" pos="0 0 0"><joint name="k" axis="0 1 0" damping="0.01" stiffness="0.2" frictionloss="0.01"/>
@@ -157,3 +162,40 @@ def test_every_built_in_model_lists_its_numbers():
 def test_axes_and_unknown_names_say_what_is_legal():
     with pytest.raises(ModelError, match=r"did you mean 'crank\.mass'"):
         load_mechanism("optimus-knee", parameters={"crank.mas": 1.0})
+
+
+SLIDER_CRANK = """<mujoco><option gravity="0 0 0"/><worldbody>
+  <body name="crank"><inertial pos="0 0 0" mass="1" diaginertia=".5 .5 1"/><joint name="crank" axis="0 0 1"/>
+    <site name="of_crank" pos=".25 0 0"/></body>
+  <body name="slider" pos="1.5 0 0"><inertial pos="0 0 0" mass=".5" diaginertia="1 1 1"/>
+    <joint name="slide" type="slide" axis="1 0 0"/>
+    <body name="rod"><inertial pos="0 0 0" mass=".5" diaginertia="1 1 2"/><joint name="rod" axis="0 0 1"/>
+      <site name="of_rod" pos="-.5 0 0"/><site name="pushed" pos="1 0 0"/></body></body></worldbody>
+  <equality><connect body1="crank" body2="rod" anchor=".5 0 0"/></equality>
+  <tendon><spatial name="strut" stiffness="1" damping="1" springlength="1"><site site="of_crank"/>
+  <site site="of_rod"/></spatial></tendon><actuator><motor name="m" joint="crank" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_a_simulated_motion_has_the_sensitivities_to_spring_and_damper_of_a_solver_for_them():
+    """The slider-crank of SUNDIALS' idasSlCrank_FSA_dns: the integral of its kinetic energy over ten seconds."""
+    published = json.loads((DATA / "slider_crank_sensitivity.json").read_text(encoding="utf-8"))
+    names = ("strut.stiffness", "strut.damping")
+    mechanism = linkplan.load_mechanism(SLIDER_CRANK, force={"pushed": [1, 0, 0]}, independent=["crank"])
+    mechanism = mechanism.with_parameters(dict.fromkeys(names))
+    dynamics, start = mechanism.parametric_dynamics(), close_at(mechanism, np.array([np.pi / 2]))
+    state, numbers = ca.MX.sym("state", mechanism.n_q + 1), ca.MX.sym("numbers", 2)
+    q, v = state[: mechanism.n_q], state[mechanism.n_q :]
+    motion = {
+        "x": state,
+        "p": numbers,
+        "ode": ca.vertcat(*dynamics.flow(q, v, 0.0, numbers)),
+        "quad": dynamics.energy(q, v, numbers)[0],
+    }
+    ran = ca.integrator("ran", "cvodes", motion, 0.0, published["duration_s"], {"abstol": 1e-13, "reltol": 1e-13})
+    found = ran(x0=ca.vertcat(start, 0.0), p=numbers)
+    outputs = ca.Function("outputs", [numbers], [found["xf"], found["qf"], ca.jacobian(found["qf"], numbers)])
+    end, integral, slopes = outputs(mechanism.parameter_values)
+    values = published["values"]
+    assert float(integral) == pytest.approx(values["G"], abs=1e-9)
+    assert slopes.full().ravel() == pytest.approx([values["dG_dk"], values["dG_dc"]], abs=1e-9)
+    assert float(end[mechanism.independent[0]]) == pytest.approx(values["q_end"], abs=1e-9)
