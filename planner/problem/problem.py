@@ -248,6 +248,19 @@ class Problem:
         return known | {name: self.mechanism.model.body(name).id for name in self.tracked_bodies}
 
     @property
+    def objective_unit(self) -> str:
+        """The unit of an objective with one term, for this mechanism's hinges or slides; empty for a sum of terms."""
+        unit, term = self.objective.unit, next(iter(self.objective.weights), "")
+        if unit and term.startswith("effort"):
+            of_kind = {"N.m": unit, "N": unit.replace("N2 m2", "N2")}
+            return " and ".join(dict.fromkeys(of_kind[actuator.unit] for actuator in self.mechanism.actuators))
+        if unit and term == "tracking":
+            of_slides = unit.replace("rad2", "m2")
+            units = (unit if joint.kind == "hinge" else of_slides for joint in self.mechanism.independent_joints)
+            return " and ".join(dict.fromkeys(units))
+        return unit
+
+    @property
     def not_honoured(self) -> tuple[str, ...]:
         """Phrases on the parts of the model that plans neglect; each states if this makes plans wrong."""
         false = "neglected, which makes the plan wrong: "

@@ -310,6 +310,6 @@ def saved_price(plan: Plan) -> Price | None:
 
 
 def _price(plan: Plan, nominal: float) -> Price:
-    objective = plan.problem.objective
+    problem = plan.problem
     assert plan.objective is not None  # the price of a motion that passes
-    return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)
+    return Price(objective=plan.objective, nominal=nominal, unit=problem.objective_unit, name=problem.objective.name)

@@ -80,17 +80,7 @@ def radius_figure(radius: float | None) -> str:
 
 def objective_unit(problem: Problem) -> str:
     """Return the unit of a single term, after a space; an empty string for a sum of terms."""
-    terms = list(problem.objective.weights)
-    unit, mechanism = problem.objective.unit, problem.mechanism
-    if not unit:
-        return ""
-    units = [unit]
-    if terms[0].startswith("effort"):
-        of_kind = {"N.m": unit, "N": unit.replace("N2 m2", "N2")}
-        units = [of_kind[actuator.unit] for actuator in mechanism.actuators]
-    elif terms[0] == "tracking":
-        units = [unit if joint.kind == "hinge" else unit.replace("rad2", "m2") for joint in mechanism.independent_joints]
-    return f" {' and '.join(dict.fromkeys(units))}"
+    return f" {problem.objective_unit}".rstrip()
 
 
 def sensitivity_blocks(plan: Plan) -> list[Block]:
@@ -98,7 +88,7 @@ def sensitivity_blocks(plan: Plan) -> list[Block]:
     found = sensitivities_of(plan)
     if not found:
         return []
-    unit = plan.problem.objective.unit or "1"
+    unit = plan.problem.objective_unit or "1"
     heads = [("number", ""), ("value", "SI"), ("slope", f"{unit} per SI"), ("by 1 %", unit), ("by the tolerance", unit)]
     rows = [[one.name, one.value, one.slope, one.by_one_percent, one.by_tolerance] for one in found]
     return [table_of(f"Slopes of the objective ({plan.problem.objective.name}) by numbers of the machine", heads, rows)]

@@ -1,11 +1,15 @@
 """Slopes of an optimal objective by numbers of the machine, against plans of machines with other numbers."""
 
+from dataclasses import replace
+
 import pytest
 
 import linkplan
 from linkplan.models.errors import ProblemError
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.planning import plan_motion, saved_price
 from linkplan.planner.search.sensitivities import sensitivities_of, with_sensitivities
+from linkplan.studies.output.plan_blocks import sensitivity_blocks
+from tests.support.plans import optimal
 
 NUMBERS = {
     "crank.mass": {},
@@ -79,3 +83,11 @@ def test_a_tolerance_says_its_effect():
 def test_slopes_by_nothing_are_refused():
     with pytest.raises(ProblemError, match=r"name them in \[parameters\]"):
         linkplan.plan(linkplan.Problem.from_file("knee-reach", {"mechanism.payload": "none"}), sensitivities=True)
+
+
+def test_slopes_and_prices_of_a_slide_s_effort_are_in_its_unit():
+    plan = optimal("knee-linear-reach")
+    plan = replace(plan, details={**plan.details, "slope by payload.mass": 1.0, "objective_as_modelled": 1.0})
+    (table,) = sensitivity_blocks(plan)
+    assert {unit for _, unit in table.columns} >= {"N2 s", "N2 s per SI"}
+    assert saved_price(plan).unit == "N2 s"
