@@ -173,8 +173,8 @@ class Session:
         kind, _, name = key.partition(".")
         if kind == "parameters":
             twice = name == "payload.mass" and isinstance(self.first.to_dict()["mechanism"].get("payload"), dict)
-            also = {"mechanism.payload.mass_kg": value} if twice else {}
-            return {} if value == slider.value else {key: self._table(name) | {"value": value}} | also
+            also: dict[str, object] = {"mechanism.payload.mass_kg": value} if twice else {}
+            return {} if value == slider.value else also | {key: self._table(name) | {"value": value}}
         if kind in ("kp", "kd"):
             return {f"tracking.{key}": value}
         end = key.partition("_")[0]

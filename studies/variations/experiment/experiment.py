@@ -313,7 +313,7 @@ def defaults_note(plan: Plan) -> str | None:
     """Return the note on a missing or an empty [imperfections] table, or None if the table has imperfections."""
     section = plan.problem.sections.imperfections
     if section is None:
-        names = ", ".join(default_imperfections(plan))
+        names = ", ".join([*default_imperfections(plan), *drawn_parameters(plan.problem.mechanism)])
         return f"without [imperfections], those of a carefully built machine are used: {names}"
     return (
         None
