@@ -13,8 +13,8 @@ import numpy as np
 
 from linkplan.controllers.feedback_loop import Stepper
 from linkplan.controllers.imperfections.driving import DriveState, driving
-from linkplan.controllers.imperfections.imperfections import Drives, Imperfections
-from linkplan.controllers.imperfections.plant import ImperfectPlant, prepare, scale_masses
+from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine
+from linkplan.controllers.imperfections.plant import ImperfectPlant, change_numbers, prepare
 from linkplan.controllers.mujoco_plant import MujocoStepper
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
@@ -127,7 +127,7 @@ class GroundPlant:
         mechanism, loop = self.mechanism, self.loop
         substeps = max(substeps_of(mechanism, reference.period_s), _STEPS_OF_IMPACT)
         model = on_ground(mechanism, self.feet, reference.period_s / substeps)
-        scale_masses(model, mujoco.MjData(model), loop.mass_factor)
+        change_numbers(model, Machine(), loop.mass_factor)
         prepare(model, mechanism, reference.period_s / substeps, loop.effort_limit)
         plant = ImperfectPlant(model=model, pose=reference.pose_rad[0], rates=reference.velocity_rad_s[0])
         n = len(machines)
