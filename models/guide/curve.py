@@ -1,6 +1,7 @@
 """Curves in space that a site follows: an arc, a polyline with rounded corners, a spline through points.
 
-Every curve has continuous second derivatives by its parameter, so that accelerations along it have no jumps.
+Every curve has continuous second derivatives by its parameter, so that accelerations along it have no jumps. The third
+derivative of a spline jumps at its points.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from linkplan.models.errors import ModelError
 
 # Two points closer than this share of a path's length are one.
 _SAME_POINT_SHARE = 1e-9
+# Cells of a piece over which its length is integrated, with ten Gauss points each, and Newton steps to a way on it.
+_LENGTH_CELLS, _NEWTON_STEPS = 16, 6
 # Sine of the angle between two segments below which they are one line.
 _STRAIGHT_SINE = 1e-9
 
@@ -69,8 +72,13 @@ class Curve:
 
     @property
     def corners(self) -> np.ndarray:
-        """The parameters (n,) at which the third derivative jumps: the ends of blends, the points of a spline."""
+        """The parameters (n,) at which a higher derivative jumps: the ends of blends, the points of a spline."""
         return self.starts[1:] if isinstance(self.pieces[0], Polynomial) else np.zeros(0)
+
+    @cached_property
+    def is_smooth(self) -> bool:
+        """Whether the third derivative has no jumps, so that limits on jerk apply: not for a spline of cubics."""
+        return len(self.pieces) == 1 or all(len(piece.coefficients) != 4 for piece in self.pieces)  # type: ignore
 
     @property
     def length(self) -> float:
@@ -100,13 +108,50 @@ class Curve:
         slope = ca.jacobian(place, x)
         return ca.Function("curve", [x], [ca.densify(one) for one in (place, slope, ca.jacobian(slope, x))])
 
+    @cached_property
+    def ways(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (n,) from the beginning to the end, and the lengths of the curve (n,) [m] up to there."""
+        ends = zip(self.starts, [piece.length for piece in self.pieces], strict=True)
+        x = np.append(
+            np.concatenate([start + np.arange(_LENGTH_CELLS) / _LENGTH_CELLS * length for start, length in ends]),
+            self.length,
+        )
+        return x, np.append(0.0, np.cumsum(self._lengths(x[:-1], x[1:])))
+
+    def _lengths(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return the lengths (n,) [m] between two parameters (n,) of one cell each."""
+        at, weight = np.polynomial.legendre.leggauss(10)
+        half = 0.5 * (last - first)
+        x = (first + half)[:, None] + half[:, None] * at
+        return half * (np.linalg.norm(self.slopes(x.ravel(), 1), axis=1).reshape(x.shape) @ weight)
+
+    def slopes(self, x: np.ndarray, order: int) -> np.ndarray:
+        """Return the first or second derivatives (n, 3) of the place by the parameter, at parameters (n,)."""
+        return np.array(self.function.map(len(x))(np.asarray(x)[None])[order]).T
+
+    def at_way(self, way: np.ndarray) -> np.ndarray:
+        """Return the parameters (n,) at which the curve has the lengths (n,) [m] from its beginning."""
+        knots, until = self.ways
+        k = np.clip(np.searchsorted(until, way, side="right") - 1, 0, len(knots) - 2)
+        x = np.interp(way, until, knots)
+        for _ in range(_NEWTON_STEPS):
+            x = x - (until[k] + self._lengths(knots[k], x) - way) / np.linalg.norm(self.slopes(x, 1), axis=1)
+        return x
+
+    def along(self, x: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x' and x'' (n,) of a speed [m/s] and an acceleration [m/s2] along the curve (n,) at parameters (n,)."""
+        slope, bend = self.slopes(x, 1), self.slopes(x, 2)
+        size = np.linalg.norm(slope, axis=1)
+        rate = speed / size
+        return rate, (acceleration - np.einsum("ki,ki->k", slope, bend) / size * rate**2) / size
+
     def places(self, x: np.ndarray) -> np.ndarray:
         """Return the places (n, 3) [m] at parameters (n,)."""
         return np.array(self.function.map(len(x))(np.asarray(x)[None])[0]).T
 
 
 def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
-    """Return the polyline through points (n, 3) with corners rounded by quintics that begin `blend_m` before them.
+    """Return the polyline through points (n, 3) with corners rounded by septics that begin `blend_m` before them.
 
     Raises:
         ModelError: for a corner that is not rounded, one that turns back, or a segment that is too short for its blends.
@@ -145,16 +190,16 @@ def _text(point: np.ndarray) -> str:
 
 
 def _blend(corner: np.ndarray, before: np.ndarray, after: np.ndarray, blend_m: float) -> Polynomial:
-    """Return the quintic that leaves one line and enters the next with equal tangents and no curvature."""
+    """Return the septic that leaves one line and enters the next with equal tangents, and no second or third derivative."""
     length = 2.0 * blend_m  # its parameter is the way along the polyline
     ends = corner - blend_m * before, corner + blend_m * after
-    rows = np.zeros((6, 6))
-    for order in range(3):
-        for power in range(order, 6):
+    rows = np.zeros((8, 8))
+    for order in range(4):
+        for power in range(order, 8):
             factor = float(np.prod(np.arange(power - order + 1, power + 1)))
             rows[order, power] = factor * (power == order)
-            rows[3 + order, power] = factor * length ** (power - order)
-    values = np.array([ends[0], before, np.zeros(3), ends[1], after, np.zeros(3)])
+            rows[4 + order, power] = factor * length ** (power - order)
+    values = np.array([ends[0], before, *np.zeros((2, 3)), ends[1], after, *np.zeros((2, 3))])
     return Polynomial(coefficients=np.linalg.solve(rows, values), length=length)
 
 

@@ -31,6 +31,7 @@ from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.path import Feed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import VELOCITY_SHARE, Trajectory
 
@@ -291,7 +292,7 @@ def _ctrl_failures(samples: Samples) -> list[str]:
 
 
 def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
-    """Return the largest error of the states at both ends, relative to the motion's span and largest speed."""
+    """Return the largest error of the states at both ends, relative to the motion's span, largest speed and acceleration."""
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
     speeds = np.stack([trajectory.velocity[0, 0], trajectory.velocity[-1, -1]])
@@ -312,20 +313,33 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
     still = free & motion.ends_at_goal  # a spin's final speed is free in a reach and periodic in a periodic motion
     apart = [
         relative_violation(ends, exact_bounds(asked, free), span),
-        relative_violation(speeds, exact_bounds(wanted, still), speed),
+        relative_violation(speeds, exact_bounds(wanted, still | np.isnan(wanted)), speed),
     ]
+    accelerations = motion.end_accelerations(trajectory.n_s)
+    if motion.ends_at_goal and np.any(np.isfinite(accelerations)):
+        every = trajectory.acceleration_at(trajectory.dense_times(4))
+        largest = max(float(np.abs(every).max()), float(np.finfo(float).tiny))
+        apart.append(relative_violation(every[[0, -1]], exact_bounds(accelerations), largest))
     apart += [_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints]
     return max(*apart, _path_error(problem, trajectory))
 
 
 def _path_error(problem: Problem, trajectory: Trajectory) -> float:
-    """Return the largest error of the path's parameter at both ends and where intervals join, relative to its length."""
-    if problem.path is None:
+    """Return the largest error of the path's parameter at both ends and where intervals join, relative to its length.
+
+    Along a constant feed the error at every instant counts.
+    """
+    path = problem.path
+    if path is None:
         return 0.0
     if not trajectory.along.size:
         return np.inf
-    of, length = trajectory.along[:, :, 0], problem.path.curve.length
-    return float(np.abs([of[0, 0], of[-1, -1] - length, *(of[0, 1:] - of[-1, :-1])]).max()) / length
+    of, length, time = trajectory.along[:, :, 0], path.curve.length, trajectory.dense_times(4)
+    apart = [of[0, 0], of[-1, -1] - length, *(of[0, 1:] - of[-1, :-1])]
+    if path.feed:
+        asked = Feed(curve=path.curve, period_s=trajectory.duration_s).derivative(time - trajectory.breaks_s[0])[:, 0]
+        apart += [*(trajectory.along_at(time) - asked)]
+    return float(np.abs(apart).max()) / length
 
 
 def _waypoint_error(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:

@@ -150,6 +150,7 @@ def formulate(
         advance=_advance(problem, scales, returns),
         smooth=tuple(range(n_u)) if objective.is_smoothed or objective.efforts("smooth") else rows.rate_columns,
         holds_at_rest=tuple(sums * scales.position for sums in holds_at_rest(problem)),
+        end_accelerations=motion.end_accelerations(n_s) * scales.time_s**2 / scales.position,
         end_efforts=end_efforts(problem) if motion.kind == "reach" else None,
         eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),

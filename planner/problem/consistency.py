@@ -109,6 +109,32 @@ def _check_periodic(motion: Motion, objective: Objective, reference: Reference |
         )
 
 
+def check_end_accelerations(motion: Motion, mechanism: Mechanism, smooth: np.ndarray) -> None:
+    """Refuse accelerations at ends of a motion whose accelerations may jump there, or of joints that rest there.
+
+    Args:
+        motion: with the accelerations.
+        mechanism: with the joints.
+        smooth: (n_s,) for each independent joint, whether a limit or a cost keeps its acceleration from jumping.
+    """
+    along = motion.kind == "follow"
+    for name, asked in zip(("start", "goal"), motion.end_accelerations(mechanism.dof), strict=True):
+        speed = getattr(motion, f"{name}_speed")
+        for column, joint in enumerate(mechanism.independent_joints):
+            if np.isnan(asked[column]):
+                continue
+            where = f"motion.{name}_acceleration_{joint.unit}_s2 of joint {joint.name}"
+            where, unit = (f"path.{name}_acceleration_m_s2", "site_jerk_m_s3") if along else (where, f"jerk_{joint.unit}_s3")
+            if motion.kind not in ("reach", "follow"):
+                raise ProblemError(f"{where} belongs to motion.kind 'reach', got '{motion.kind}'")
+            if not (smooth.any() if along else smooth[column]):
+                raise ProblemError(
+                    f"{where}: the acceleration may jump there; set limits.{unit} or limits.effort_rate, or minimize 'jerk'"
+                )
+            if asked[column] and not along and (speed is None or not speed[column]):
+                raise ProblemError(f"{where} is 0 where the joint is at rest, got {joint.text(asked[column], 6)}")
+
+
 def check_open_goal(motion: Motion, mechanism: Mechanism, limits: Limits, mesh: MeshSettings) -> None:
     """Refuse limits on the effort rates of some motors where these do not determine what holds an open goal."""
     limited = np.any(np.isfinite(limits.effort_rate), axis=1)

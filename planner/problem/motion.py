@@ -64,6 +64,8 @@ class Motion:
     Kind "reach" goes from start to goal, "hold" stays at its start, which is its goal, "periodic" returns to its first
     state, "track" is the reference itself, and "follow" takes a site along its path, from rest to rest.
 
+    `start_acceleration` and `goal_acceleration` are NaN or None where free.
+
     `turns` (n_s,) are whole turns of hinges over a period of a periodic motion, s(T) = s(0) + 2 pi turns; None without
     turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
@@ -79,6 +81,8 @@ class Motion:
     goal: np.ndarray | None = None
     start_speed: np.ndarray | None = None
     goal_speed: np.ndarray | None = None
+    start_acceleration: np.ndarray | None = None
+    goal_acceleration: np.ndarray | None = None
     duration_s: float | None = None
     min_duration_s: float | None = None
     max_duration_s: float | None = None
@@ -93,7 +97,8 @@ class Motion:
         if self.kind == "hold" and self.start is not None:
             object.__setattr__(self, "goal", self.start)
             object.__setattr__(self, "goal_named", tuple(range(len(self.start))))
-        for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
+        ends = [f"{name}_{what}" for what in ("speed", "acceleration") for name in ("start", "goal")]
+        for name in ("start", "goal", *ends, "turns"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen(value))
@@ -119,6 +124,12 @@ class Motion:
     def goal_is_free(self) -> bool:
         """Whether the final pose is free except for the sites' places and the bodies' angles."""
         return bool(self.goal_rows)
+
+    def end_accelerations(self, n_s: int) -> np.ndarray:
+        """Return the accelerations (2, n_s) asked for at start and goal, NaN where they are free."""
+        return np.stack(
+            [np.full(n_s, np.nan) if a is None else a for a in (self.start_acceleration, self.goal_acceleration)]
+        )
 
     @property
     def advance(self) -> np.ndarray | float:

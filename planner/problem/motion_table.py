@@ -20,6 +20,7 @@ from linkplan.planner.problem.sites import Task, key_of, pose_at, tasks_of
 _NOT_ALONG_A_PATH = (
     *("start_at", "start_body_deg", "goal_deg", "goal_m", "goal_at", "goal_body_deg"),
     *("start_speed_deg_s", "start_speed_m_s", "goal_speed_deg_s", "goal_speed_m_s", "waypoints", "turns"),
+    *(f"{name}_acceleration_{unit}_s2" for name in ("start", "goal") for unit in ("deg", "m")),
 )
 # Largest difference of a dependent joint named in start_deg or goal_deg from the closed loop's position.
 _POSE_TOLERANCE = np.radians(0.05)
@@ -50,6 +51,7 @@ def motion_of(
     _check_hold(section)
     goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     speeds = [_state(section, f"{name}_speed_s", mechanism, 0.0) for name in ("start", "goal")]
+    accelerations = [_state(section, f"{name}_acceleration_s2", mechanism, np.nan) for name in ("start", "goal")]
     goal_named = np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))
     if kind == "reach" and reference is not None and duration is not None:  # ends default to the reference's
         ends = [reference.derivative(np.array([0.0, duration]), order) for order in (0, 1)]
@@ -66,6 +68,8 @@ def motion_of(
         goal_rows=goal_rows,
         start_speed=speeds[0],
         goal_speed=speeds[1],
+        start_acceleration=accelerations[0],
+        goal_acceleration=accelerations[1],
         duration_s=duration,
         min_duration_s=section.min_duration_s,
         max_duration_s=section.max_duration_s,
@@ -84,18 +88,29 @@ def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: S
     unused = [key for key in _NOT_ALONG_A_PATH if getattr(section, key)]
     if unused:
         raise ProblemError(
-            f"motion.{unused[0]} cannot be set for motion.kind 'follow', which goes from rest at the first point of its"
-            " [path] to rest at the last"
+            f"motion.{unused[0]} cannot be set for motion.kind 'follow', which goes from the first point of its [path] to"
+            " the last; path.start_speed_m_s and path.goal_speed_m_s are speeds there"
         )
+    duration = None if section.duration_s == "free" else section.duration_s
+    if path.feed and np.isfinite(path.speeds[0]):
+        if duration is not None:
+            raise ProblemError(
+                'path.feed_m_s gives the duration, and motion.duration_s another one; path.feed_m_s = "free" takes it'
+            )
+        duration = path.curve.ways[1][-1] / path.speeds[0]
     near = _state(section, "start", mechanism, None)
-    s = path.end_poses(
+    s, v, a = path.end_poses(
         mechanism, limits.position, limits.tasks, mechanism.home if near is None else _closed(mechanism, near)
     )
     return Motion(
         kind="follow",
         start=s[0],
         goal=s[1],
-        duration_s=None if section.duration_s == "free" else section.duration_s,
+        start_speed=v[0],
+        goal_speed=v[1],
+        start_acceleration=a[0],
+        goal_acceleration=a[1],
+        duration_s=duration,
         min_duration_s=section.min_duration_s,
         max_duration_s=section.max_duration_s,
         goal_named=tuple(range(mechanism.dof)),
@@ -140,7 +155,7 @@ def _state(
         value = values.get(int(index), default)  # NaN (free) in a waypoint
         # A coordinate that is not named, because nothing moves or holds it, starts at home.
         result.append(mechanism.home[index] if value is None else joint.read(value))
-    if key.endswith("_s"):
+    if key.endswith(("_s", "_s2")):
         _refuse_dependent(values, f"{where}.{key}", mechanism)
     return np.array(result)
 
@@ -150,7 +165,7 @@ def _refuse_dependent(values: dict[int, float], where: str, mechanism: Mechanism
     for index in values:
         if index not in mechanism.independent:
             raise ProblemError(
-                f"{where} of joint {mechanism.joints[index].name}: its speed follows from"
+                f"{where} of joint {mechanism.joints[index].name}: it follows from"
                 f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
             )
 

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from linkplan.models.errors import AssemblyError, ModelError, ProblemError
 from linkplan.models.guide.curve import Curve, curve_through
 from linkplan.models.guide.guided import GuidedMechanism, guided
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, joint_rates
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.tree.dynamics import site_index
@@ -23,13 +24,50 @@ _PATH_SAMPLES = 181
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Feed:
+    """The motion of constant speed along a curve, as a reference of its parameter: x(t) at the way L t / `period_s`."""
+
+    curve: Curve
+    period_s: float
+    periodic: bool = False
+
+    def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return the parameter's derivative (n, 1) of order 0 to 2 at times (n,)."""
+        speed = self.curve.ways[1][-1] / self.period_s
+        x = self.curve.at_way(np.clip(speed * np.asarray(time_s, dtype=float), 0.0, self.curve.ways[1][-1]))
+        return (x, *self.curve.along(x, speed, np.zeros(len(x))))[order][:, None]
+
+    def inner_times(self, _: float) -> np.ndarray:
+        """Return the times (n,) [s] at which the curve's pieces join."""
+        knots, until = self.curve.ways
+        return np.interp(self.curve.corners, knots, until) / until[-1] * self.period_s
+
+    def stretched(self, factor: float) -> "Feed":
+        """Return the motion that takes `factor` times as long."""
+        return replace(self, period_s=factor * self.period_s)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SitePath:
-    """A site, its index in the model, and the curve that it follows; `within_m` is its largest distance from it [m]."""
+    """A site, its index in the model, and the curve that it follows; `within_m` is its largest distance from it [m].
+
+    `speeds` and `accelerations` are those along the curve at its beginning and end [m/s, m/s2], NaN where they are free.
+    `feed` tells whether the speed is constant.
+    """
 
     site: str
     index: int
     curve: Curve
     within_m: float
+    speeds: tuple[float, float] = (0.0, 0.0)
+    accelerations: tuple[float, float] = (np.nan, np.nan)
+    feed: bool = False
+
+    def rates(self, k: int) -> tuple[float, float]:
+        """Return the first two time derivatives of the curve's parameter at its beginning (k = 0) or end (1)."""
+        x, ends = self.curve.length * np.array([float(k)]), np.array([self.speeds, self.accelerations])
+        rate, acceleration = self.curve.along(x, *ends[:, k : k + 1])
+        return float(rate[0]), float(acceleration[0])
 
     def guided(self, mechanism: Mechanism, pose: np.ndarray) -> GuidedMechanism:
         """Return a mechanism guided along the path from a closed pose (n_q,) at its beginning.
@@ -41,8 +79,10 @@ class SitePath:
 
     def end_poses(
         self, mechanism: Mechanism, ranges: np.ndarray, limits: Sequence[SiteLimit | BodyLimit], begin: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the independent positions (n_s,) at both ends of the path; the first pose is the nearest to `begin`.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the independent joints' positions, speeds and accelerations (2, n_s) at both ends of the path.
+
+        The first pose is the nearest to `begin`. Speeds and accelerations are NaN where they are free.
 
         Raises:
             ProblemError: if the site does not reach the whole path.
@@ -50,7 +90,8 @@ class SitePath:
         (first,) = self.curve.places(np.zeros(1))
         points = (SitePoint(site=self.site, index=self.index, point=first),)
         s, _ = pose_at(points, "the beginning of path", mechanism, ranges, limits, begin)
-        pose = close_at(mechanism, s)
+        pose, free = close_at(mechanism, s), mechanism.independent
+        ends = []
         guide, along = self.guided(mechanism, pose), np.linspace(0.0, self.curve.length, _PATH_SAMPLES)
         poses, places = np.append(pose, 0.0)[None], self.curve.places(along)
         for k, x in enumerate(along):
@@ -61,7 +102,12 @@ class SitePath:
             pose = poses[0, :-1]
             if np.linalg.norm(places_of(mechanism, self.index, pose)[0] - places[k]) > self.within_m:
                 raise ProblemError(self._left_at(places[k], x))
-        return s, pose[mechanism.independent]
+            if x in (0.0, along[-1]):
+                rate, bend = (np.array([[value]]) for value in self.rates(int(x > 0)))
+                ends.append(
+                    (pose[free], joint_rates(guide, poses, rate)[0, free], accelerations(guide, poses, rate, bend)[0, free])
+                )
+        return tuple(np.stack(of) for of in zip(*ends, strict=True))
 
     def _left_at(self, place: np.ndarray, x: float) -> str:
         return (
@@ -93,7 +139,26 @@ def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
     except ModelError as error:
         raise ProblemError(str(error)) from error
     index = site_index(mechanism.model, section.site, "path.site", ProblemError)
-    return SitePath(site=section.site, index=index, curve=curve, within_m=PATH_SHARE * mechanism.extent_m)
+    names, feed = ("start", "goal"), section.feed_m_s
+    speeds, bends = ([getattr(section, f"{name}_{key}") for name in names] for key in ("speed_m_s", "acceleration_m_s2"))
+    given = [f"path.{name}_speed_m_s" for name, speed in zip(names, speeds, strict=True) if speed is not None]
+    given += [f"path.{name}_acceleration_m_s2" for name, bend in zip(names, bends, strict=True) if bend is not None]
+    if feed is not None and given:
+        raise ProblemError(f"path.feed_m_s is the speed from the first point to the last; it excludes {given[0]}")
+    for name, speed, bend in zip(names, speeds, bends, strict=True):
+        if bend and speed is None:
+            raise ProblemError(f"path.{name}_acceleration_m_s2 is 0 without path.{name}_speed_m_s, got {bend:g}")
+    if feed is not None:
+        speeds = [np.nan if feed == "free" else feed] * 2
+    return SitePath(
+        site=section.site,
+        index=index,
+        curve=curve,
+        within_m=PATH_SHARE * mechanism.extent_m,
+        speeds=tuple(0.0 if speed is None else speed for speed in speeds),
+        accelerations=tuple(np.nan if bend is None else bend for bend in bends),
+        feed=feed is not None,
+    )
 
 
 def path_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism) -> dict[str, list]:

@@ -350,8 +350,8 @@ class Problem:
         others = {"[reference]": self.reference, "[robust]": self.robust.corners, "[guess]": self.guess}
         # Along a path the joints' jerk differs from that of the only coordinate.
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
-        bent = self.path is not None and len(self.path.curve.corners) > 0
-        smooth_only = "a limit or cost on jerk along rounded corners or a spline, only along a line or an arc"
+        bent = self.path is not None and not self.path.curve.is_smooth
+        smooth_only = "a limit or cost on jerk along a spline, only along a polyline or an arc"
         others |= {smooth_only: bent and any(jerk)}
         if self.path is not None or self.motion.kind == "follow":
             check_path(self.path, self.motion.kind, others)
@@ -360,6 +360,9 @@ class Problem:
         consistency.check_guess(self.guess, self.mechanism)
         consistency.check_periods(self.motion, self.reference, self.mesh)
         consistency.check_robust(self.robust, self.mechanism)
+        own = np.any(np.isfinite(self.limits.jerk[self.mechanism.independent]), axis=1)
+        every = self.objective.has("jerk") or any(jerk[:-1]) or np.any(np.isfinite(self.limits.effort_rate))
+        consistency.check_end_accelerations(self.motion, self.mechanism, own | every)
         consistency.check_open_goal(self.motion, self.mechanism, self.limits, self.mesh)
         consistency.check_node_at_end(self.motion, self.mechanism, self.mesh)
 

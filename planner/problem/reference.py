@@ -15,6 +15,7 @@ from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.tables import resolve_path
 from linkplan.planner.problem.keys.motion import ReferenceSection
 from linkplan.planner.problem.keys.sections import GuessSection
+from linkplan.planner.problem.path import Feed
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.table_reference import Spline, spline_of
 from linkplan.planner.trajectory import Trajectory
@@ -62,7 +63,7 @@ class Sine:
         return replace(self, frequency_hz=self.frequency_hz / factor)
 
 
-Reference = Sine | Spline
+Reference = Sine | Spline | Feed
 
 
 def is_whole(number: float) -> bool:

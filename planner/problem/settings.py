@@ -45,7 +45,8 @@ from linkplan.planner.problem.keys.sections import (
 # The default of a field that __post_init__ sets; readers of the field never find it.
 DERIVED: Any = None
 # Keys with tables of joint = value in [motion], its waypoints and [reference].
-_STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias", "position")
+_ENDS = tuple(f"{name}{what}" for what in ("", "_speed", "_acceleration") for name in ("start", "goal"))
+_STATES = (*_ENDS, "at", "speed", "amplitude", "bias", "position")
 # The share of a plan's time that is reserved for its certificate; solves end before it.
 CERTIFICATE_TIME_SHARE = 0.1
 
@@ -155,7 +156,7 @@ def _named(tables: Mapping[str, dict]) -> Iterator[str]:
     motion = tables.get("motion", {})
     for table in (motion, tables.get("reference", {}), *motion.get("waypoints", [])):
         for state in _STATES:
-            for unit in ("deg", "m", "deg_s", "m_s"):
+            for unit in ("deg", "m", "deg_s", "m_s", "deg_s2", "m_s2"):
                 yield from table.get(f"{state}_{unit}", ())
 
 

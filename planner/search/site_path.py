@@ -17,11 +17,12 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.closed_chain.prescribed import motion_along, rounded_down
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import OF_JOINTS, free_bounds
 from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.path import Feed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_part
@@ -36,6 +37,11 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
     assert problem.path is not None
     mechanism = problem.path.guided(problem.mechanism, start_pose)
     found = plan_of(_guided_problem(problem, mechanism))
+    way = problem.path.curve.ways[1][-1]
+    if problem.path.feed and "motion.duration_s" in found.verdict.remedy:
+        feed = rounded_down(way / found.verdict.remedy["motion.duration_s"])
+        said = f"with path.feed_m_s = {feed:g} or less it satisfies every limit"
+        found = replace(found, verdict=found.verdict.replace(further=(said,), remedy={"path.feed_m_s": feed}))
     if found.trajectory is None or not found.passed:
         return replace(found, problem=problem, trajectory=None, certificate=None, objective=None)
     # A search that ran out of time still has its motion.
@@ -44,30 +50,41 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
     objective, _ = objective_value(problem, motion)
     plan = finished(problem, motion, certify(judged, motion), objective, None, optimal=found.status == "optimal")
     if plan.passed:
-        words = f"{found.verdict.words}, along the path of site {problem.path.site}"
+        feed = f"a constant feed of {way / motion.duration_s:.6g} m/s: " if problem.path.feed else ""
+        words = f"{feed}{found.verdict.words}, along the path of site {problem.path.site}"
         plan = replace(plan, verdict=found.verdict.replace(words=words, kind=plan.status))
     return replace(plan, history=found.history)
 
 
 def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
-    """Return the problem of the guided mechanism: from rest at the path's beginning to rest at its end."""
-    limits, ends = problem.limits, np.array([[0.0, mechanism.curve.length]])
-    rows = dict.fromkeys(OF_JOINTS, free_bounds(1)) | {"position": ends}
+    """Return the problem of the guided mechanism, from the path's beginning to its end."""
+    path, curve, limits = problem.path, mechanism.curve, problem.limits
+    assert path is not None
+    ends = np.array([[0.0, curve.length]])
+    rows = dict.fromkeys(OF_JOINTS, free_bounds(1)) | ({} if path.feed else {"position": ends})
     longer = {name: np.vstack([getattr(limits, name), row]) for name, row in rows.items()}
     forces = np.append(limits.closure_force, np.inf)
+    (start_speed, start_acceleration), (goal_speed, goal_acceleration) = (np.array(path.rates(k))[:, None] for k in (0, 1))
     motion = replace(
         problem.motion,
-        kind="reach",
+        kind="track" if path.feed else "reach",
         start=np.zeros(1),
-        goal=np.array([mechanism.curve.length]),
+        goal=np.array([curve.length]),
+        start_speed=start_speed,
+        goal_speed=goal_speed,
+        start_acceleration=None if path.feed else start_acceleration,
+        goal_acceleration=None if path.feed else goal_acceleration,
         goal_named=(0,),
-        waypoints=[Waypoint(position=x) for x in mechanism.curve.corners[:, None]],
+        waypoints=() if path.feed else [Waypoint(position=x) for x in curve.corners[:, None]],
     )
+    length = curve.ways[1][-1]
+    constant = {"reference": Feed(curve=curve, period_s=problem.motion.duration_s or length), "objective": "tracking"}
     return problem.varied(
         mechanism=mechanism,
         motion=motion,
         path=None,
         limits=replace(limits, closure_force=forces, **longer),
+        **(constant if path.feed else {}),
     )
 
 

@@ -127,8 +127,8 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, chosen: Sc
         following = np.roll(smooth[:, 0], -1, axis=0)
         pairs = np.stack([smooth[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
         rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
-    for columns, values in _accelerations_without_jumps(formulation, layout, chosen):
-        rows.add(columns, values, 0.0, 0.0)
+    for columns, values, asked in _accelerations_without_jumps(formulation, layout, chosen):
+        rows.add(columns, values, asked, asked)
     for group, low, high, weight in _boundary_groups(formulation, mesh):
         if len(group) > 1:
             rows.add(layout.durations()[group][None, :], weight[None, :], low, high)
@@ -148,11 +148,11 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, chosen: Sc
 
 def _accelerations_without_jumps(
     formulation: Formulation, layout: Layout, chosen: Scheme
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield columns and coefficients (n, k) of rows that are zero: accelerations with a bounded rate have no jumps.
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Yield columns and coefficients (n, k) of rows, and their value: accelerations with a bounded rate have no jumps.
 
     A motion that begins or ends at rest has no jump there either: its acceleration is zero at that end. Where efforts hold
-    it, sums of accelerations are.
+    it, sums of accelerations are. At a moving end the acceleration is the one asked for.
     """
     first, last = chosen.acceleration_coefficients[[0, -1]]
     speeds = slice(layout.n_s, 2 * layout.n_s)
@@ -161,7 +161,7 @@ def _accelerations_without_jumps(
         at = layout.acceleration()[:, :, column]  # (n, m)
         following = np.roll(at, -1, axis=0)
         pairs = np.hstack([at, following])[: None if formulation.periodic else -1]
-        yield pairs, np.tile(np.concatenate([last, -first]), (len(pairs), 1))
+        yield pairs, np.tile(np.concatenate([last, -first]), (len(pairs), 1)), 0.0
     smooth = list(formulation.rows.smooth_columns)
     for k, (rest, end, of) in enumerate(zip(rests, (0, -1), (first, last), strict=True)):
         still = np.eye(layout.n_s)[[column for column in smooth if rest[column]]]
@@ -173,7 +173,10 @@ def _accelerations_without_jumps(
             still = np.vstack([still, scipy.linalg.orth(sums.T).T if len(sums) else sums])
         for weights in () if formulation.periodic else still:
             columns = np.flatnonzero(weights)
-            yield layout.acceleration()[end][:, columns].reshape(1, -1), np.outer(of, weights[columns]).reshape(1, -1)
+            yield layout.acceleration()[end][:, columns].reshape(1, -1), np.outer(of, weights[columns]).reshape(1, -1), 0.0
+        asked = formulation.end_accelerations[k]
+        for column in np.flatnonzero(np.isfinite(asked) & ~(rest & (rest.all() | np.isin(range(layout.n_s), smooth)))):
+            yield layout.acceleration()[end, :, column][None], of[None], float(asked[column])
 
 
 def _boundary_groups(formulation: Formulation, mesh: Mesh):

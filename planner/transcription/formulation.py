@@ -47,14 +47,14 @@ class Formulation:
     2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), and `own` by kind of an interval's own rows. `returns` are
     the periodic states; they end at their initial value plus `advance` (n_returns,). `free_at_end` are states that need not
     return, because nothing depends on them. `smooth` are efforts without jumps. `holds_at_rest` (start, goal) are weights
-    (n, n_s) of sums of scaled accelerations that are zero if the motion rests there. `end_efforts` (2, n_u, 2) bound
-    the first and the last efforts. `eta` are an interval's own parameters.
-    `theta` maps times (n, m) [s] to node parameters (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to amounts
-    (n, n_path) by which path bounds are tightened on each interval, and `own_tightening` gives, by kind, amounts
-    (n, n_items) for own rows. `position_path` are path quantities that depend only on the positions of second-order
-    coordinates; they need no bound at phase boundaries that prescribe all positions. `passed` are prescribed values
-    (boundary, quantity, value) of path quantities at waypoints. `peak` is the scaled cost of the largest share of the effort
-    limits at any instant, a further unknown; None if it costs nothing.
+    (n, n_s) of sums of scaled accelerations that are zero if the motion rests there. `end_accelerations` (2, n_s) are
+    scaled accelerations at moving ends, NaN where they are free. `end_efforts` (2, n_u, 2) bound the first and the last
+    efforts. `eta` are an interval's own parameters. `theta` maps times (n, m) [s] to node parameters (n, m, n_theta).
+    `tightening` maps breaks (n + 1,) [s] to amounts (n, n_path) by which path bounds are tightened on each interval, and
+    `own_tightening` gives, by kind, amounts (n, n_items) for own rows. `position_path` are path quantities that depend only
+    on the positions of second-order coordinates; they need no bound at phase boundaries that prescribe all positions.
+    `passed` are prescribed values (boundary, quantity, value) of path quantities at waypoints. `peak` is the scaled cost of
+    the largest share of the effort limits at any instant, a further unknown; None if it costs nothing.
     """
 
     build_system: Callable[[], System]
@@ -73,6 +73,7 @@ class Formulation:
     returns: tuple[int, ...]
     smooth: tuple[int, ...] = ()
     holds_at_rest: tuple[np.ndarray, ...] = ()
+    end_accelerations: tuple[np.ndarray, ...] | np.ndarray = (np.zeros(0), np.zeros(0))
     end_efforts: np.ndarray | None = None
     eta: np.ndarray = field(default_factory=lambda: np.zeros(0))
     theta: Callable[[np.ndarray], np.ndarray]

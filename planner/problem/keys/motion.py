@@ -22,6 +22,7 @@ class WaypointSection(Section, frozen=True):
 _OPEN = "free in a periodic motion; a reach needs it, and a hold its start"
 _END = "at the end, or after half a period"
 _PLACES = "instead of joints' positions"
+_AS_ENDS = "free; 0 at rest"
 _ANGLES = f"{_PLACES} or beside sites' places"
 _WAYPOINTS = Meta(
     max_length=kinds.MAX_WAYPOINTS,
@@ -47,6 +48,10 @@ class MotionSection(Section, frozen=True):
     goal_body_deg: kinds.BodyAngles = by_name(f"bodies' angles at the end, {_ANGLES}", "deg", "by the joints")
     start_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the start", "deg/s", "at rest")
     goal_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the end", "deg/s", "at rest")
+    start_acceleration_deg_s2: kinds.Numbers = by_joint(
+        "hinges' accelerations at a start with a speed, if a limit keeps them from jumping", "deg/s2", _AS_ENDS
+    )
+    goal_acceleration_deg_s2: kinds.Numbers = by_joint("the same at the end", "deg/s2", _AS_ENDS)
     duration_s: kinds.Duration | kinds.Free = key('the duration, or "free"', "s", "free, or the reference's period")
     min_duration_s: kinds.ShortDuration = key("the shortest free duration", "s", "any")
     max_duration_s: kinds.Duration = key("the longest free duration", "s", "any")
@@ -114,7 +119,7 @@ ForceTable = Annotated[ForceSection, Meta(extra_json_schema={"anyOf": [{"require
 
 
 class PathSection(Section, frozen=True):
-    """A path that a site follows exactly from rest at its first point to rest at its last, for motion.kind "follow"."""
+    """A path that a site follows exactly from its first point to its last, for motion.kind "follow"."""
 
     site: str = required("the site that follows the path")
     points: kinds.Corners = key("points of the path in the world, in order; or a file", "m", "those of the file", default=[])
@@ -124,6 +129,20 @@ class PathSection(Section, frozen=True):
         default="polyline",
     )
     blend_m: kinds.Positive = key("the distance from a polyline's corners at which their rounding begins", "m", "none")
+    feed_m_s: kinds.Positive | kinds.Free = key(
+        'the constant speed of the site from the first point to the last; "free": the length over the duration, or the'
+        " largest within the limits",
+        "m/s",
+        "none",
+    )
+    start_speed_m_s: kinds.Positive = key("the site's speed along the path at its beginning", "m/s", "at rest")
+    goal_speed_m_s: kinds.Positive = key("the same at its end", "m/s", "at rest")
+    start_acceleration_m_s2: kinds.Number = key(
+        "the site's acceleration along the path at its beginning, if it moves there and a limit keeps it from jumping",
+        "m/s2",
+        _AS_ENDS,
+    )
+    goal_acceleration_m_s2: kinds.Number = key("the same at its end", "m/s2", _AS_ENDS)
 
 
 _PATH_ONE_OF = [{"required": [key]} for key in ("points", "file")]

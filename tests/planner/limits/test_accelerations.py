@@ -7,12 +7,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.limit import limit_margin
 from linkplan.planner.limits.rates import JerkLimit, SiteJerkLimit, smooth_columns
@@ -26,6 +28,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import body_problem, cart
 from tests.support.motions import motion_along
+from tests.support.refusals import assert_refused
 
 MASS = """<mujoco><option gravity="0 0 0"/>
   <worldbody><body>
@@ -66,6 +69,40 @@ def test_the_least_time_of_a_mass_with_limited_jerk_is_that_of_seven_segments(wa
     assert plan.objective == pytest.approx(seven_segments(way_m, 1.0, 4.0, 40.0), rel=1e-6)
     assert plan.objective > seven_segments(way_m, 1.0, 4.0, 40.0) * (1 - 1e-9)
     assert prove(plan.problem, plan.trajectory, existence=False).passed
+
+
+def to_cruise(v: float, a: float, top: float, most: float, jerk: float) -> tuple[float, float]:
+    """Return the time [s] and the way [m] from a speed and an acceleration to a higher speed without acceleration."""
+    peak = min(most, np.sqrt(jerk * (top - v) + 0.5 * a**2))
+    level = (top - v - (2 * peak**2 - a**2) / (2 * jerk)) / peak
+    time, way = 0.0, 0.0
+    for lasting, rate in (((peak - a) / jerk, jerk), (level, 0.0), (peak / jerk, -jerk)):
+        way += v * lasting + a * lasting**2 / 2 + rate * lasting**3 / 6
+        v, a, time = v + a * lasting + rate * lasting**2 / 2, a + rate * lasting, time + lasting
+    return time, way
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 0.0), (2.0, -1.0)])
+def test_accelerations_at_moving_ends_are_those_asked_for_in_the_least_time_of_seven_segments(first, last):
+    """Six segments: the way is too short for a cruise. Reversed in time, the end is a start that speeds up."""
+    ends = (0.2, first), (0.4, -last)
+    top = scipy.optimize.brentq(lambda top: sum(to_cruise(*end, top, 4.0, 40.0)[1] for end in ends) - 0.3, 0.5, 5.0)
+    problem = mass(0.3, acceleration_m_s2=4.0, jerk_m_s3=40.0).replace(
+        start_speed_m_s={"X": 0.2}, goal_speed_m_s={"X": 0.4},
+        start_acceleration_m_s2={"X": first}, goal_acceleration_m_s2={"X": last},
+    )  # fmt: skip
+    plan = plan_motion(problem)
+    assert plan.objective == pytest.approx(sum(to_cruise(*end, top, 4.0, 40.0)[0] for end in ends), rel=1e-6)
+    other = problem.varied(motion=replace(problem.motion, goal_acceleration=np.array([last + 0.1])))
+    assert any("misses its boundary conditions" in one for one in certify(other, plan.trajectory).failures)
+
+
+@pytest.mark.parametrize(
+    ("limits", "first", "said"),
+    [({}, 0.0, "may jump there; set limits.jerk_m_s3"), ({"jerk_m_s3": {"X": 9.0}}, 1.0, "is 0 where the joint is at rest")],
+)
+def test_accelerations_at_ends_that_no_motion_has_are_refused(limits, first, said):
+    assert_refused(lambda: mass(0.3).replace(limits=limits, start_acceleration_m_s2={"X": first}), said)
 
 
 PARALLELOGRAM = """<mujoco><option gravity="0 0 0"/>

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.guide.curve import Curve, curve_through
@@ -208,6 +209,56 @@ def test_a_motion_off_its_path_fails_its_certificate_and_its_proof(quickest):
     assert finding.answer == "refuted"
 
 
+def test_a_constant_feed_needs_the_efforts_of_its_line():
+    feed, length = 0.3, float(np.linalg.norm(TO - FROM))
+    plan = plan_motion(followed(path={"site": "tip", "points": LINE, "feed_m_s": feed}, minimize="effort"))
+    assert plan.passed
+    assert plan.duration_s == pytest.approx(length / feed, rel=1e-12)
+    time = np.linspace(0.0, plan.duration_s, 50)
+    q, slope, bend = along_line(feed * time)
+    wanted = torques(q, [feed * of for of in slope], [feed**2 * of for of in bend])
+    np.testing.assert_allclose(plan.trajectory.effort_at(time), np.array(wanted).T, atol=1e-6)
+
+
+CORNER = {"site": "tip", "points": [[0.55, 0.0, -0.15], [0.55, 0.0, 0.0], [0.45, 0.0, 0.1]], "blend_m": 0.03}
+
+
+def test_a_constant_feed_passes_a_rounded_corner_without_a_change_of_speed():
+    mesh = {"mesh": {"intervals": 30}, "minimize": "effort"}
+    plan = plan_motion(followed(path=CORNER | {"feed_m_s": 0.3}, **mesh))
+    time = np.linspace(0.0, plan.duration_s, 1001)
+    places = places_of(plan.problem.mechanism, 0, plan.trajectory.position_at(time))
+    np.testing.assert_allclose(np.linalg.norm(np.diff(places, axis=0), axis=1) / time[1], 0.3, rtol=1e-5)
+    slower = replace(plan.problem.path, curve=curve_through(LINE, "polyline", 0.0, "path"))
+    assert any("misses its boundary" in one for one in certify(plan.problem.varied(path=slower), plan.trajectory).failures)
+
+
+@pytest.mark.slow
+def test_a_feed_that_is_too_fast_is_infeasible_with_the_largest_one():
+    problem = followed(path={"site": "tip", "points": LINE, "feed_m_s": 30.0}, minimize="effort", mesh={"intervals": 8})
+    plan = plan_motion(problem)
+    most = plan.verdict.remedy["path.feed_m_s"]
+    assert f"with path.feed_m_s = {most:g} or less it satisfies every limit" in plan.message
+    assert plan_motion(problem.replace("path.feed_m_s", most)).passed
+    assert not plan_motion(problem.replace("path.feed_m_s", 1.001 * most)).passed
+
+
+def test_a_path_begun_and_left_at_speed_without_acceleration_takes_the_time_of_segments_of_constant_jerk():
+    """From v to the top and back: ways of (v + top) / 2 times 2 sqrt((top - v) / jerk) each."""
+    ends, jerk, length = (0.3, 0.4), 40.0, float(np.linalg.norm(TO - FROM))
+
+    def times(top: float) -> list[float]:
+        return [2 * np.sqrt((top - v) / jerk) for v in ends]
+
+    top = scipy.optimize.brentq(
+        lambda top: sum(0.5 * (v + top) * t for v, t in zip(ends, times(top), strict=True)) - length, 0.4, 9.0
+    )
+    path = {"site": "tip", "points": LINE, "start_speed_m_s": ends[0], "goal_speed_m_s": ends[1]}
+    path |= {"start_acceleration_m_s2": 0.0, "goal_acceleration_m_s2": 0.0}
+    plan = plan_motion(followed(path=path, limits={"site_jerk_m_s3": {"tip": jerk}}, mesh={"intervals": 30}))
+    assert plan.duration_s == pytest.approx(sum(times(top)), rel=1e-5)
+
+
 @pytest.fixture(scope="module")
 def cheapest():
     return plan_motion(followed(minimize="effort", duration_s=0.6))
@@ -351,7 +402,20 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
                 "limits": {"site_jerk_m_s3": {"tip": 40.0}},
                 "path": {"site": "tip", "points": [LINE[0], [0.45, 0.0, 0.1], LINE[1]], "shape": "spline"},
             },
-            "cannot be combined with a limit or cost on jerk along rounded corners or a spline, only along a line or an arc",
+            "cannot be combined with a limit or cost on jerk along a spline, only along a polyline or an arc",
+        ),
+        (
+            {"path": {"site": "tip", "points": LINE, "feed_m_s": 0.1, "goal_speed_m_s": 0.1}},
+            "it excludes path.goal_speed_m_s",
+        ),
+        ({"path": {"site": "tip", "points": LINE, "feed_m_s": 0.1}, "duration_s": 1.0}, "path.feed_m_s gives the duration"),
+        (
+            {"path": {"site": "tip", "points": LINE, "goal_speed_m_s": 0.1, "goal_acceleration_m_s2": 0.0}},
+            "path.goal_acceleration_m_s2: the acceleration may jump there; set limits.site_jerk_m_s3",
+        ),
+        (
+            {"path": {"site": "tip", "points": LINE, "goal_acceleration_m_s2": 1.0}},
+            "path.goal_acceleration_m_s2 is 0 without path.goal_speed_m_s, got 1",
         ),
         ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
     ],
