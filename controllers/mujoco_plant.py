@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, SiteForces, pushing, spread
+from linkplan.controllers.imperfections.batch_effects import ClosureWatch, LoadForces, PushState, SiteForces, pushing, spread
 from linkplan.controllers.imperfections.driving import DriveState, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import ImperfectPlant, held_before, is_nominal, plant
@@ -23,6 +23,7 @@ from linkplan.controllers.sampling import substeps_of
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.external_forces import loads_of
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import is_redundant, sampled
 
@@ -130,16 +131,16 @@ class MujocoStepper:
         self._redundant = is_redundant(mechanism)
         # A servo's ctrl and a motor's line need the actuators' speeds at the beginning of every step.
         by_speed = self._servos is not None or drives.line is not None
-        by_speed |= mechanism.forces is not None and begun is not None  # which need the sites' places
+        timed, loaded = mechanism.forces is not None and begun is not None, bool(loads_of(model))
+        by_speed |= timed or loaded  # which need the sites' places
         self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=by_speed)
         spread(self._batch, model, models)
         bind = self._batch.bind
         self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
-        self._site_forces = None
-        if mechanism.forces is not None and begun is not None:
-            self._site_forces = SiteForces(self._batch, mechanism, self.timestep_s, begun)
-        if pushes is not None or self._site_forces is not None:
+        self._site_forces = SiteForces(self._batch, mechanism, self.timestep_s, begun) if timed else None
+        self._loads = LoadForces(self._batch, model) if loaded else None
+        if pushes is not None or timed or loaded:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
         self._map_actuators(mechanism.actuators)
@@ -217,10 +218,12 @@ class MujocoStepper:
             self._ctrl[:, self._channels] = ctrl
             if self._pushes is not None:
                 self._forces[:], self._efforts[:] = self._pushes.over(k * self._substeps + j)
+            elif self._site_forces is not None or self._loads is not None:
+                self._forces[:], self._efforts[:] = 0.0, 0.0
             if self._site_forces is not None:
-                if self._pushes is None:
-                    self._forces[:] = 0.0
                 self._site_forces.add(k * self._substeps + j, self._forces)
+            if self._loads is not None:
+                self._loads.add(self._forces, self._efforts)
             self._batch.step(self._ids, count, self._stage)
             self.note_step()
             if j:

@@ -11,12 +11,13 @@ gear^2 J, which MuJoCo adds to the mass matrix (armature of the actuator).
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, choose, listed
-from linkplan.models.external_forces import add_forces
+from linkplan.models.external_forces import add_forces, add_loads
 from linkplan.models.foreign.deletion import delete_users, leave_the_ground
 from linkplan.models.foreign.floating import floating_bodies, floating_of
 from linkplan.models.foreign.rod_spins import add_universal_joints, asked_spins
@@ -46,17 +47,17 @@ HOME_KEYFRAME = "home"
 class Selection:
     """What is taken out of a model: keys of the [mechanism] table.
 
-    `keep`: names of bodies or joints. Their bodies are kept with everything attached to them, every chain that closes a loop
-    with them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between the
-    world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints that
-    are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home pose
-    and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of names
-    of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit of the
-    joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces (3,) [N]
-    in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
-    `stand`: points (3,) [m] of the world on which sites by name stand; `open`: names of closures that are switched off.
-    `effort_sharing`: the rule by which more actuators than freedoms share an effort, and `pre_tension` the efforts by
-    actuator nearest to which they do so.
+    `keep`: names of bodies or joints. Their bodies are kept with everything attached to them, every chain that closes a
+    loop with them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between
+    the world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints
+    that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
+    pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
+    names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
+    of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces
+    (3,) [N] in the world's axes by the name of the site on which they act. `load`: tables of forces over a place or a
+    speed. `gear`, `rotor_inertia`: of motors by actuator. `stand`: points (3,) [m] of the world on which sites by name
+    stand; `open`: names of closures that are switched off. `effort_sharing`: the rule by which more actuators than freedoms
+    share an effort, and `pre_tension` the efforts by actuator nearest to which they do so.
     """
 
     keep: Sequence[str] = ()
@@ -67,6 +68,7 @@ class Selection:
     drive: Sequence[str] = ()
     lock_spin: Sequence[str] = ()
     force: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    load: Sequence[Mapping[str, Any]] = ()
     gear: Mapping[str, float] = field(default_factory=dict)
     rotor_inertia: Mapping[str, float] = field(default_factory=dict)
     stand: Mapping[str, Sequence[float]] = field(default_factory=dict)
@@ -124,6 +126,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     still = _joint_names(model, locked)  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
     add_forces(spec, asked.force)
+    notes += add_loads(spec, asked.load)
     notes += set_gearing(spec, asked.gear, asked.rotor_inertia)
     notes += open_closures(spec, asked.open)
     stand(spec, asked.stand)

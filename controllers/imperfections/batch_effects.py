@@ -18,6 +18,7 @@ from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import ImperfectPlant, body_index
 from linkplan.controllers.trackers.tracker import added
 from linkplan.models.errors import LinkplanError
+from linkplan.models.external_forces import loads_of
 from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism
 
@@ -104,6 +105,37 @@ class SiteForces:
             push = given[:, 3 * k : 3 * k + 3]
             force[:, body, :3] += push
             force[:, body, 3:] += np.cross(self._places[:, site] - self._centres[:, body], push)
+
+
+class LoadForces:
+    """The loads over a place or a speed of simulations (n,), applied at the beginning of every simulator step.
+
+    A site's place is that of MuJoCo. Its velocity follows from that of its body about the centre of mass of the whole tree.
+    """
+
+    def __init__(self, batch: Batch, model: mujoco.MjModel) -> None:
+        self._model, self._loads = model, loads_of(model)
+        names = ("qpos", "qvel", "site_xpos", "xipos", "cvel", "subtree_com")
+        self._qpos, self._qvel, self._places, self._centres, self._twists, self._roots = map(batch.bind, names)
+
+    def add(self, force: np.ndarray, effort: np.ndarray) -> None:
+        """Add the loads to forces (n, nbody, 6) at the bodies' centres of mass and to efforts (n, nv) on joints."""
+        model = self._model
+        for load in self._loads:
+            joint, speed = load.joint(model), load.over == "speed"
+            if joint is not None:
+                at = self._qvel[:, model.jnt_dofadr[joint]] if speed else self._qpos[:, model.jnt_qposadr[joint]]
+            if load.on == "joint":
+                effort[:, model.jnt_dofadr[model.joint(load.name).id]] += load.values(at)
+                continue
+            site = int(model.site(load.name).id)
+            body, place = int(model.site_bodyid[site]), self._places[:, site]
+            if joint is None:
+                arm, twist = place - self._roots[:, model.body_rootid[body]], self._twists[:, body]
+                at = (twist[:, 3:] + np.cross(twist[:, :3], arm) if speed else place) @ load.axis
+            push = load.values(at)[:, None] * load.axis
+            force[:, body, :3] += push
+            force[:, body, 3:] += np.cross(place - self._centres[:, body], push)
 
 
 class ClosureWatch:

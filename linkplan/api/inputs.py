@@ -9,7 +9,7 @@ from typing import cast
 from linkplan.api.reporting import Listener
 from linkplan.models.catalogue import MODELS, unknown_source
 from linkplan.models.errors import ModelError, PlanError, ProblemError
-from linkplan.models.external_forces import omitted_forces
+from linkplan.models.external_forces import loads_of, omitted_forces
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import PHASES_FILE, Tables, apply_override, read_tables, refuse_saved_plan
@@ -126,10 +126,13 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
 
 
 def note_forces(mechanism: Mechanism, say: Listener) -> None:
-    """Pass a note that forces over time belong to a motion, and are omitted in an exported model."""
+    """Pass notes on forces over time, which are omitted in an exported model, and on loads, which MuJoCo does not apply."""
     note = omitted_forces(mechanism.forces, "in the exported model")
     if note is not None:
         say.keep(note)
+    if loads := loads_of(mechanism.model):
+        on = ", ".join(load.name for load in loads)
+        say.keep(f"the load on {on} is a custom number of the exported model, which MuJoCo does not apply")
 
 
 def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:

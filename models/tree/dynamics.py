@@ -36,6 +36,7 @@ from linkplan.models.tree.passive import (
     gas_springs,
     joint_armature,
     joint_passive,
+    load_forces,
     tendon_inertias,
     tendon_passive,
 )
@@ -157,7 +158,7 @@ def build_tree(
     gas_force, gas_energy = gas_springs(model, frames, lengths, x, rates)
     compensation_energy = _compensation_energy(model, frames, gravity)
     compensation = -ca.jacobian(compensation_energy, x).T
-    passive = ca.vertcat(joint_force, still) + tendon_force + gas_force + compensation
+    passive = ca.vertcat(joint_force, still) + tendon_force + gas_force + compensation + load_forces(model, frames, x, rates)
     for site, force in (forces or {}).items():
         passive += ca.jacobian(site_point(model, frames, site), x).T @ force
     friction = dry_friction(

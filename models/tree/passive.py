@@ -14,6 +14,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.external_forces import loads_of
 from linkplan.models.kinematics import clamped_joints, data_at, disabled
 from linkplan.models.symbolic_model import is_zero, number, numeric
 from linkplan.models.tree.coordinates import HINGE, SLIDE
@@ -180,6 +181,22 @@ def spans_branches(model: mujoco.MjModel, length: ca.SX, q: ca.SX) -> bool:
         if above != lower:
             return True
     return False
+
+
+def load_forces(model: mujoco.MjModel, frames: Sequence[Any], q: ca.SX, qd: ca.SX) -> ca.SX:
+    """Return the generalised force (n_q,) of loads over a place or a speed; `frames` are as of `gas_springs`."""
+    force, numbers = ca.SX.zeros(q.numel()), numeric(model)
+    for load in loads_of(numbers):
+        joint = load.joint(numbers)
+        place = None if joint is None else q[int(numbers.jnt_dofadr[joint])]
+        if load.on == "site":
+            site = int(numbers.site(load.name).id)
+            length = ca.dot(ca.DM(load.axis), frames[int(model.site_bodyid[site])].point(model.site_pos[site]))
+        else:
+            length = q[int(numbers.jnt_dofadr[numbers.joint(load.name).id])]
+        arm, place = ca.jacobian(length, q), length if place is None else place
+        force += arm.T * load.expression(arm @ qd if load.over == "speed" else place)
+    return force
 
 
 def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:

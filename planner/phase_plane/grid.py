@@ -9,6 +9,7 @@ from math import inf, sqrt
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.external_forces import loads_of
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.period import turn_of
@@ -109,7 +110,7 @@ def grid_of(
     """Return positions (n,) around the places that a motion passes, within the joints' ranges, and the poses there.
 
     The poses (2 n - 1, n_q) are at the grid points and midway between them. None if a position that is out of range
-    separates one of the places from the others.
+    separates one of the places from the others, or if a load over a speed changes the efforts along the motion.
 
     Args:
         problem: a problem of one degree of freedom.
@@ -119,6 +120,8 @@ def grid_of(
         graded: whether cells are closer together where joints or the inertia change most.
     """
     mechanism, limits = problem.mechanism, problem.limits
+    if any(load.over == "speed" for load in loads_of(mechanism.model)):
+        return None
     ends = np.array([places.min(), places.max()])
     can = reach(mechanism)
     low, high = bounds_of_state(problem)[0][0]

@@ -97,7 +97,8 @@ def forces_of(
 def force_notes(section: ForceSection) -> list[str]:
     """Return the note on where the forces of a [force_over_time] table act."""
     rows, kind = len(section.time_s), section.interpolation
-    return [f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion, not in poses at rest"]
+    acts = f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion, not in poses at rest"
+    return [f"{acts}; the planner may rest or turn back while they act: forces of a place are a mechanism.load"]
 
 
 def _check_motion(motion: Motion) -> None:

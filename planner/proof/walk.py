@@ -80,6 +80,11 @@ def _less(a: Ball, b: Ball) -> Ball:
     return arb(1) if low < high else arb(0) if low >= high else known_to([arb(0.5, 0.5)], a, b)
 
 
+def _floor(a: Ball, _: Ball) -> Ball:
+    value = constant_term(a).floor()
+    return value if value.is_exact() else known_to([value], a)
+
+
 def _chosen(condition: Ball, a: Ball) -> Ball:
     """Return a if the condition is 1, and zero if it is 0."""
     value = constant_term(condition)
@@ -147,6 +152,7 @@ _OPERATIONS: dict[int, Callable] = {
     ca.OP_ATAN2: _atan2,
     ca.OP_FABS: lambda a, _: larger(a, -a),
     ca.OP_SIGN: _sign,
+    ca.OP_FLOOR: _floor,
     ca.OP_FMAX: larger,
     ca.OP_FMIN: lambda a, b: -larger(-a, -b),
     ca.OP_LT: _less,

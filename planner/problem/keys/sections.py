@@ -64,6 +64,25 @@ class PayloadSection(Section, frozen=True):
     )
 
 
+class LoadSection(Section, frozen=True):
+    """A force over a place or a speed: the monotone cubic through rows, and beyond them the last row's."""
+
+    effort: kinds.Path = required("the force or torque in every row", "N, N.m")
+    joint: str = key("the joint on which it acts, positive along its position", "", "none: a site")
+    site: str = key("the site on which it acts", "", "none: a joint")
+    direction: kinds.Point = key("the direction in the world in which it acts on the site", "", "none")
+    over: str = key(
+        "another joint, over whose position it is given", "", "the joint itself, or the site along the direction"
+    )
+    at_deg: kinds.Path = key("the rows' angles", "deg", "none")
+    at_m: kinds.Path = key("the rows' places", "m", "none")
+    at_deg_s: kinds.Path = key("the rows' speeds", "deg/s", "none")
+    at_m_s: kinds.Path = key("the rows' speeds", "m/s", "none")
+
+
+_LOADS = Meta(extra={"said": f"a list of tables with keys {', '.join(LoadSection.__struct_fields__)}", "numbered": True})
+
+
 class MechanismSection(Section, frozen=True):
     """The machine: its model, its assembly and its payload."""
 
@@ -108,6 +127,7 @@ class MechanismSection(Section, frozen=True):
     force: kinds.Forces = by_name(
         "constant forces [x, y, z] in the world's axes by site: a load on a foot or hook", "N", "none"
     )
+    load: Annotated[list[LoadSection], _LOADS] = key("forces over a place or a speed", otherwise="none", default=[])
     gear: kinds.ActuatorGears = by_name(
         "gears of motors by actuator: the motor's position over that of its joint or tendon", "1, rad/m", "the model's own"
     )
