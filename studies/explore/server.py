@@ -51,7 +51,7 @@ class Server(ThreadingHTTPServer):
             document, said = session.report(asked.get("values", {}), asked.get("objective"), asked.get("tracker"))
             return "application/json", b'{"said": %b, "document": %b}' % (_json(said), document_json(document))
         if path == "save":
-            return "application/json", _json({"saved": self.save(session.described())})
+            return "application/json", _json({"saved": f"{self.save(session.described())}: {session.changes()}"})
         if path == "controls":
             return "application/json", _json(session.controls())
         document, _ = session.report({}, None)

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -132,17 +132,14 @@ class Session:
         """Return the problem at values of the sliders by key.
 
         Raises:
-            LinkplanError: for an unknown key, a value outside its slider, or values that do not form a valid problem.
+            LinkplanError: for an unknown key, or values that do not form a valid problem, also beyond the sliders' ends.
         """
         known = {slider.key: slider for slider in self.sliders()}
         settings: dict[str, object] = {}
         for key, given in values.items():
             if key not in known:
                 raise ProblemError(f"unknown slider '{key}'; sliders are {', '.join(known)}")
-            value, slider = number(given, key), known[key]
-            if not slider.low <= value <= slider.high:
-                raise ProblemError(f"{key} must be from {slider.low:g} to {slider.high:g} {slider.unit}, got {value:g}")
-            settings |= self._setting(key, value, slider)
+            settings |= self._setting(key, number(given, key, positive=key == "effort_percent"), known[key])
         if objective is not None:
             settings["objective.minimize"] = objective
         if objective == "time":
@@ -159,6 +156,13 @@ class Session:
         with_ = f" with {'least ' if goal in OBJECTIVES else 'the objective '}{goal}" if isinstance(goal, str) else ""
         text = f"a reach {length}{with_}, from exploring {self.first.name}"
         return self.current.replace(description=text)
+
+    def changes(self) -> str:
+        """Return the words on what the last planned problem changes in the first one: its keys and their values."""
+        before, after = (dict(_values(one.to_dict())) for one in (self.first, self.current))
+        keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
+        changed = [f"{key} = {_short(after[key])}" if key in after else f"without {key}" for key in keys]
+        return ", ".join(changed) or "the problem as it was read"
 
     def _setting(self, key: str, value: float, slider: Slider) -> dict[str, object]:
         """Return the settings that a slider's value changes; none if the slider was not moved."""
@@ -207,6 +211,22 @@ class Session:
             document = _tracked(plan, tracker)
             said = {"passed": plan.passed, "message": plan.message, "plan_s": planned}
             return document, said | {"all_s": time.monotonic() - begun}
+
+
+def _values(table: Mapping, above: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted keys of tables with their values."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _values(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _short(value: object) -> str:
+    """Return a value with six digits."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_short(one) for one in value)}]"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _tracked(plan: Plan, tracker: str) -> Report:

@@ -72,7 +72,8 @@ async function showSliders() {
   save.addEventListener("click", async () => {
     try {
       const answer = await ask("save", {});
-      said.textContent = answer.refused ?? `saved ${answer.saved}`;
+      const last = document.querySelector(".page.stale") ? " (the last values that have a problem)" : "";
+      said.textContent = answer.refused ?? `saved ${answer.saved}${last}`;
     } catch (error) {
       said.textContent = `no answer: ${error.message}`;
     }

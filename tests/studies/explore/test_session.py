@@ -109,12 +109,25 @@ def test_every_number_that_the_problem_names_has_a_slider(payload):
 def test_what_no_slider_gives_is_refused(session):
     for values, said in (
         ({"goal_deg.A": 1.0}, "unknown slider"),
-        ({"duration_s": 99.0}, r"duration_s must be from 0\.04 to 0\.64 s, got 99"),
+        ({"duration_s": -1.0}, "motion.duration_s must be"),
+        ({"effort_percent": 0.0}, "effort_percent must be"),
+        ({"goal_deg.O": 500.0}, "motion.goal_deg"),
         ({"duration_s": "long"}, "duration_s"),
     ):
         with pytest.raises(ProblemError, match=said):
             session.problem_at(values, None)
     assert_refused(lambda: Session(first=load_problem("knee-sine")), "explore needs a reach", kind=ProblemError)
+
+
+def test_boxes_go_beyond_the_ends_of_their_sliders_and_the_saved_changes_are_named(session):
+    (slider,) = [one for one in session.sliders() if one.key == "duration_s"]
+    far = 2.0 * slider.high
+    problem = session.problem_at({"duration_s": far, "effort_percent": 150.0}, None)
+    assert (problem.motion.duration_s, problem.limits.effort[0, 1]) == (far, 150.0)
+    other = Session(first=session.first)
+    assert other.changes() == "the problem as it was read"
+    other.current = problem
+    assert other.changes() == f"limits.effort.act_O = [-150, 150], motion.duration_s = {far:g}"
 
 
 def test_a_moved_slider_gives_the_plan_of_its_problem(session):
