@@ -10,6 +10,8 @@ from linkplan.planner.problem.keys.section import Section, key, required
 
 _NAME = Meta(min_length=1, max_length=99, extra={"said": "a name of 1 to 99 letters"})
 _GEARS = Meta(min_length=1, max_length=100, extra={"said": "a list of 1 to 100 gear ratios"})
+_EFFICIENCY = Annotated[float, Meta(gt=0, le=1, extra={"said": "a number above 0, at most 1"})]
+_BACK_EFFICIENCY = Annotated[float, Meta(ge=0, le=1, extra={"said": "a number from 0 to 1"})]
 _MOTORS = Meta(min_length=1, max_length=1000, extra={"said": "a list of 1 to 1000 tables ([[motor]])"})
 
 
@@ -28,6 +30,13 @@ class CandidateMotor(Motor, frozen=True, kw_only=True):
     )
     leads_m: Annotated[list[kinds.Positive], _GEARS] = key(
         "in place of gears, the leads of ball screws to try: the slide's way in a turn of the motor", "m", "none"
+    )
+
+    efficiency: _EFFICIENCY = key(
+        "of the gear while the motor drives: the torque behind it over gear times the motor's", "", "1"
+    )
+    back_efficiency: _BACK_EFFICIENCY = key(
+        "of the gear while the load drives: gear times the motor's torque over that behind it; 0 locks itself", "", "1"
     )
 
     @property

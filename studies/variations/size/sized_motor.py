@@ -5,12 +5,14 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.demands import demands_of, operating_points, rms_efforts, shown_speed
 from linkplan.planner.closed_chain.prescribed import at_rate_along, highest_kept_rate, prescribe, rounded_up
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import limit_margin
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.samples import actuator_speeds, samples_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.motor_list import CandidateMotor
 from linkplan.planner.problem.problem import Problem
@@ -23,6 +25,8 @@ from linkplan.studies.variations.size.candidates import with_motor
 _LOWEST_RATE, _HIGHEST_RATE = 1e-3, 1e3
 # An rms effort beyond its limit by less than this share is due to rounding.
 _RMS_ROUNDING = 1e-9
+# The step of differences in time, as a share of the motion's duration: errors of 1e-10.
+_RATE_STEP = 1e-6
 PEAK, RMS, LINE = "peak effort", "rms effort", "torque-speed line"
 
 
@@ -104,7 +108,11 @@ def sized_motor(
     shares = loads.shares if loads is not None else {} if factor is None else {PEAK: factor}
     tightest = max(shares, key=lambda name: shares[name], default="")
     reason = "" if plan.passed else plan.message
-    if plan.passed and loads is not None and (loads.rms_share or 0.0) > 1.0 + _RMS_ROUNDING:
+    beyond = {PEAK: loads.peak_share, LINE: loads.line_share or 0.0} if loads is not None and _loses(motor) else {}
+    worst = max(beyond, key=lambda name: beyond[name], default="")
+    if plan.passed and beyond and beyond[worst] > 1.0 + _RMS_ROUNDING:
+        reason = f"with the losses of its gear it uses {100 * beyond[worst]:.4g} % of its {worst}"
+    elif plan.passed and loads is not None and (loads.rms_share or 0.0) > 1.0 + _RMS_ROUNDING:
         need = loads.needed_rest_s
         rest = f"; a rest of {rounded_up(need):g} s after each motion would be enough" if need else ""
         reason = (
@@ -137,7 +145,7 @@ def sized_motor(
         rotor_inertia_after_gear=inertia,
         rotor_share=rotor_share,
         settings=_settings(given, actuator.name),
-        curve=None if motion is None else _curve(given, index, motion),
+        curve=None if motion is None else _curve(given, index, motor, motion),
         line=None if line is None else (gear * line[0], factor * line[1] / gear),
     )
     return found, plan
@@ -146,22 +154,58 @@ def sized_motor(
 def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory, rest_s: float) -> Loads:
     """Return a motion's demands on the motor at actuator `index`."""
     demand, line, share = demands_of(problem, motion)[index], _line(problem, index), None
+    peak, own_rms = demand.peak_effort, demand.rms_effort
+    speed, effort = _motor_points(problem, index, motor, motion, motion.dense_times(20))
+    if _loses(motor):
+        inner, width = motion.quadrature()
+        of = _motor_points(problem, index, motor, motion, inner)[1]
+        peak, own_rms = float(np.abs(effort).max()), float(np.sqrt(width @ of**2 / motion.duration_s))
     if line is not None:
-        speed, effort, _ = operating_points(problem, motion, motion.dense_times(20))
-        share = float(np.abs(effort[:, index] / line[0] + speed[:, index] / line[1]).max())
-    limit, rms = motor.rms_effort, _with_rest(demand.rms_effort, motion.duration_s, rest_s)
+        share = float(np.abs(effort / line[0] + speed / line[1]).max())
+    limit, rms = motor.rms_effort, _with_rest(own_rms, motion.duration_s, rest_s)
     needed_rest_s = None
     if limit is not None and not motion.periodic:
-        needed_rest_s = max((demand.rms_effort / limit) ** 2 - 1.0, 0.0) * motion.duration_s
+        needed_rest_s = max((own_rms / limit) ** 2 - 1.0, 0.0) * motion.duration_s
     return Loads(
-        peak_effort=demand.peak_effort,
+        peak_effort=peak,
         rms_effort=rms,
         peak_speed=demand.peak_speed,
-        peak_share=demand.peak_effort / _peak_limit(problem, index),
+        peak_share=peak / _peak_limit(problem, index),
         rms_share=None if limit is None else rms / limit,
         line_share=share,
         needed_rest_s=needed_rest_s,
     )
+
+
+def _loses(motor: CandidateMotor) -> bool:
+    """Tell whether the motor's gear has losses."""
+    return any(share is not None and share < 1.0 for share in (motor.efficiency, motor.back_efficiency))
+
+
+def _motor_points(
+    problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory, time_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speeds (n,) and efforts (n,) of the motor at actuator `index`, with the losses of its gear.
+
+    The planned effort u moves the rotor with J w' before the gear; the rest passes the gear. The motor's part of it is
+    (u - J w') / efficiency while the motor drives, and (u - J w') back_efficiency while the load drives (Pelchen,
+    Schweiger & Otter, Modelica conference 2002).
+    """
+    speed, effort, _ = operating_points(problem, motion, time_s)
+    if not _loses(motor):
+        return speed[:, index], effort[:, index]
+    mechanism = problem.mechanism
+    q = follow(mechanism, motion.position_at(time_s), motion.start_pose)
+    v, a = motion.velocity_at(time_s), motion.acceleration_at(time_s)
+    step = _RATE_STEP * motion.duration_s
+    ahead, back = (
+        actuator_speeds(problem, q + way * joint_rates(mechanism, q, v), v + way * a)[:, index] for way in (step, -step)
+    )
+    rotor = float(mechanism.model.actuator_armature[mechanism.actuators[index].index]) * (ahead - back) / (2 * step)
+    passed = effort[:, index] - rotor
+    drives = passed * speed[:, index] >= 0
+    forward, backward = (1.0 if one is None else one for one in (motor.efficiency, motor.back_efficiency))
+    return speed[:, index], rotor + np.where(drives, passed / forward, passed * backward)
 
 
 def _peak_limit(problem: Problem, index: int) -> float:
@@ -174,11 +218,11 @@ def _with_rest(rms_effort: float, duration_s: float, rest_s: float) -> float:
     return rms_effort * float(np.sqrt(duration_s / (duration_s + rest_s)))
 
 
-def _curve(problem: Problem, index: int, motion: Trajectory) -> np.ndarray:
+def _curve(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory) -> np.ndarray:
     """Return speeds and efforts (n, 2) behind the gear, in the units of `units_behind`."""
     gear, factor = problem.mechanism.actuators[index].gear, units_behind(problem, index)[0]
-    speed, effort, _ = operating_points(problem, motion, motion.dense_times(20))
-    return np.column_stack([factor * speed[:, index] / gear, effort[:, index] * gear])
+    speed, effort = _motor_points(problem, index, motor, motion, motion.dense_times(20))
+    return np.column_stack([factor * speed / gear, effort * gear])
 
 
 def units_behind(problem: Problem, index: int) -> tuple[float, str, str]:
@@ -226,6 +270,10 @@ def _speed_up(
         return None
 
     def is_cool(faster: Trajectory) -> bool:
+        if _loses(motor):
+            return all(
+                share <= 1.0 + _RMS_ROUNDING for share in _loads(problem, index, motor, faster, rest_s).shares.values()
+            )
         rms = _with_rest(float(rms_efforts(faster)[index]), faster.duration_s, rest_s)
         return motor.rms_effort is None or rms <= motor.rms_effort
 

@@ -333,3 +333,42 @@ def test_a_lead_of_a_screw_is_a_gear_in_radians_per_metre():
         linkplan.size(problem, [screws[0] | {"gears": [3.0]}])
     with pytest.raises(linkplan.LinkplanError, match="act_O is on joint O"):
         linkplan.size("knee-reach", screws)
+
+
+LIFT = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body><joint name="z" type="slide" axis="0 0 1"/>
+  <geom type="box" size="0.05 0.05 0.05" mass="4"/></body></worldbody>
+  <actuator><motor name="f" joint="z" ctrlrange="-400 400"/></actuator></mujoco>"""
+GEARED = {"name": "geared", "peak_effort": 2.0, "rms_effort": 5.0, "rotor_inertia": 1e-4, "gears": [60.0]}
+
+
+@pytest.mark.parametrize("ends", [(0.0, 0.3), (0.3, 0.0)], ids=["the motor drives", "the load drives"])
+def test_the_efforts_of_a_gear_with_losses_move_the_load_as_planned_by_its_own_equations(ends):
+    """Integrated as Modelica's LossyGear: the efficiency of the direction in which power passes."""
+    gear, rotor, mass, forward, backward = 60.0, 1e-4, 4.0, 0.7, 0.4
+    problem = linkplan.Problem.reach(LIFT, start_m={"z": ends[0]}, goal_m={"z": ends[1]}, duration_s=0.5, minimize="effort")
+    found = linkplan.size(problem, [GEARED | {"efficiency": forward, "back_efficiency": backward}])
+    (one,), plain = found.motors, linkplan.size(problem, [GEARED]).motors[0]
+    assert one.loads.rms_effort > 1.2 * plain.loads.rms_effort or one.loads.rms_effort < 0.8 * plain.loads.rms_effort
+    motion = found.plan.trajectory
+    times, torque = motion.dense_times(20), one.curve[:, 1] / gear
+
+    def slope(t: float, state: np.ndarray) -> np.ndarray:
+        pushed, found = np.interp(t, times, torque), []
+        for of, share in ((True, forward), (False, 1.0 / backward)):
+            a = (gear * pushed * share - mass * 9.81) / (mass + rotor * gear**2 * share)
+            found.append((a, (mass * (a + 9.81) * state[1] >= 0) == of))
+        return np.array([state[1], next(a for a, fits in found if fits)])
+
+    at = np.array([0.05])  # the speed's sign decides, so that the integration begins where it moves
+    first = [motion.position_at(at)[0, 0], motion.velocity_at(at)[0, 0]]
+    end = scipy.integrate.solve_ivp(slope, (0.05, 0.45), first, rtol=1e-9, atol=1e-12, max_step=1e-3).y[:, -1]
+    wanted = motion.position_at(np.array([0.45]))[0, 0], motion.velocity_at(np.array([0.45]))[0, 0]
+    np.testing.assert_allclose(end, wanted, atol=2e-5)
+
+
+def test_a_motor_whose_gear_loses_too_much_does_not_suffice():
+    problem = linkplan.Problem.reach(LIFT, start_m={"z": 0.0}, goal_m={"z": 0.3}, duration_s=0.5, minimize="effort")
+    (one,) = linkplan.size(problem, [GEARED | {"efficiency": 0.3}]).motors
+    assert not one.does
+    assert one.loads.peak_share == pytest.approx((4 * (9.81 + 7.2) / 60 / 0.3 + 1e-4 * 60 * 7.2) / 2.0, rel=1e-6)
+    assert one.reason == "with the losses of its gear it uses 191.2 % of its peak effort"
