@@ -131,16 +131,16 @@ class MujocoStepper:
         self._redundant = is_redundant(mechanism)
         # A servo's ctrl and a motor's line need the actuators' speeds at the beginning of every step.
         by_speed = self._servos is not None or drives.line is not None
-        timed, loaded = mechanism.forces is not None and begun is not None, bool(loads_of(model))
-        by_speed |= timed or loaded  # which need the sites' places
+        timed, loaded = begun if mechanism.forces is not None else None, bool(loads_of(model))
+        by_speed |= timed is not None or loaded  # which need the sites' places
         self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=by_speed)
         spread(self._batch, model, models)
         bind = self._batch.bind
         self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
-        self._site_forces = SiteForces(self._batch, mechanism, self.timestep_s, begun) if timed else None
+        self._site_forces = None if timed is None else SiteForces(self._batch, mechanism, self.timestep_s, timed)
         self._loads = LoadForces(self._batch, model) if loaded else None
-        if pushes is not None or timed or loaded:
+        if pushes is not None or timed is not None or loaded:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
         self._map_actuators(mechanism.actuators)

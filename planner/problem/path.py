@@ -104,10 +104,13 @@ class SitePath:
                 raise ProblemError(self._left_at(places[k], x))
             if x in (0.0, along[-1]):
                 rate, bend = (np.array([[value]]) for value in self.rates(int(x > 0)))
+                v, a = joint_rates(guide, poses, rate)[0, free], accelerations(guide, poses, rate, bend)[0, free]
+                # A joint that the path does not move is free like the others.
                 ends.append(
-                    (pose[free], joint_rates(guide, poses, rate)[0, free], accelerations(guide, poses, rate, bend)[0, free])
+                    (pose[free], v if np.isfinite(rate).all() else v * np.nan, a if np.isfinite(bend).all() else a * np.nan)
                 )
-        return tuple(np.stack(of) for of in zip(*ends, strict=True))
+        s, v, a = (np.stack(of) for of in zip(*ends, strict=True))
+        return s, v, a
 
     def _left_at(self, place: np.ndarray, x: float) -> str:
         return (
@@ -150,13 +153,15 @@ def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
             raise ProblemError(f"path.{name}_acceleration_m_s2 is 0 without path.{name}_speed_m_s, got {bend:g}")
     if feed is not None:
         speeds = [np.nan if feed == "free" else feed] * 2
+    start, goal = (0.0 if speed is None else speed for speed in speeds)
+    first, last = (np.nan if bend is None else bend for bend in bends)
     return SitePath(
         site=section.site,
         index=index,
         curve=curve,
         within_m=PATH_SHARE * mechanism.extent_m,
-        speeds=tuple(0.0 if speed is None else speed for speed in speeds),
-        accelerations=tuple(np.nan if bend is None else bend for bend in bends),
+        speeds=(start, goal),
+        accelerations=(first, last),
         feed=feed is not None,
     )
 
