@@ -234,6 +234,15 @@ def test_a_constant_feed_passes_a_rounded_corner_without_a_change_of_speed():
 
 
 @pytest.mark.slow
+def test_a_limit_on_jerk_holds_along_a_rounded_corner_and_binds():
+    limits = {"site_jerk_m_s3": {"tip": 20.0}}
+    plan = plan_motion(followed(path=CORNER, minimize="effort", duration_s=1.5, limits=limits, mesh={"intervals": 6}))
+    (margin,) = [one for one in plan.certificate.margins if one.of.key == "site_jerk"]
+    assert plan.passed
+    assert margin.value == pytest.approx(20.0, rel=1e-6)
+
+
+@pytest.mark.slow
 def test_a_feed_that_is_too_fast_is_infeasible_with_the_largest_one():
     problem = followed(path={"site": "tip", "points": LINE, "feed_m_s": 30.0}, minimize="effort", mesh={"intervals": 8})
     plan = plan_motion(problem)
