@@ -14,6 +14,7 @@ from linkplan.planner.closed_chain.junction import Exchange
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.search.finer_meshes import at_a_distance
 from linkplan.planner.search.phase_poses import PhasePoses, mirror_of
 
 
@@ -77,7 +78,7 @@ def phase_set(asked: PhasedProblem, at: PhasePoses, solver: SolverSettings | Non
         problem = problem.varied(solver=solver, motion=motion)
         in_the_air = problem_between(asked, *between, problem.mechanism, walls=False)
         cases = case_of(problem), case_of(problem.varied(limits=in_the_air.limits))
-        case, first = (replace(one, free_ends=free) for one in cases)
+        case, first = (at_a_distance(replace(one, free_ends=free), at.poses[k]) for one in cases)
         found.append(PhaseCase(name=phase.name, problem=problem, case=case, first=first))
     _refuse_places_after_sliding(asked, at, found)
     return PhaseSet(asked=asked, at=at, phases=tuple(found))
