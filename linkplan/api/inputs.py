@@ -174,6 +174,8 @@ def given_phases(problem: object) -> PhasedProblem | None:
     if not isinstance(problem, Source | str | Path):
         return None
     source = source_of(problem)
+    if not source.is_problem:
+        return None
     name, tables, folder = read_tables(source.name)
     if "phases" not in tables:
         return None
@@ -197,8 +199,6 @@ def _in_phases(plan: AnyPlan, say: Listener) -> PhasedRecord | None:
         from linkplan.studies.output.phased_plan import PhasedPlan
 
         return PhasedPlan.read(folder) if (folder / PHASES_FILE).is_file() else None
-    if isinstance(plan, Source | str | Path) and not is_problem(source_of(plan).name):
-        return None
     asked = given_phases(plan)
     if asked is None:
         return None

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.api.command import command
-from linkplan.api.inputs import ByParameter, Poses, SiteForces, Source, Subject, poses_of, source_of, subject_of
+from linkplan.api.inputs import (
+    ByParameter,
+    Poses,
+    SiteForces,
+    Source,
+    Subject,
+    given_phases,
+    poses_of,
+    source_of,
+    subject_of,
+)
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import MECHANISM_ARGUMENTS, mechanism_from_tables, with_arguments
+from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel, refused_model
 
@@ -41,7 +52,7 @@ def load_mechanism(path_or_name: str | Path, **keys: Any) -> Mechanism:
     showing=("all", "report"),
 )
 def check(
-    subject: Subject,
+    subject: Subject | PhasedProblem,
     *,
     at_deg: Poses = (),
     at_m: Poses = (),
@@ -54,10 +65,11 @@ def check(
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
     A model that is locked or not assembled also has a report, with the reason in `problems`. If a problem file cannot be
-    planned, the report is about its mechanism, with the reason in `notes`.
+    planned, the report is about its mechanism, with the reason in `notes`. That of a motion in phases says whether the
+    contacts of each phase can hold the poses at its start and end, and with which forces.
 
     Args:
-        subject: a mechanism, a `Problem`, or the name or path of either.
+        subject: a mechanism, a `Problem`, a motion in phases, or the name or path of either.
         at_deg: further poses for the report, each the independent hinges' angles [deg] by joint name, or a number for the
             only joint.
         at_m: likewise, for slides [m].
@@ -81,10 +93,13 @@ def check(
 
     notes: tuple[str, ...] = ()
     try:
-        if isinstance(subject, Source | str | Path) and source_of(subject).is_problem:
+        phases = given_phases(subject)
+        if phases is not None:
+            mechanism, problem = phases.bare_mechanism(0), None
+        elif isinstance(subject, Source | str | Path) and source_of(subject).is_problem:
             mechanism, problem, notes = mechanism_and_problem(*source_of(subject).tables())
         else:
-            mechanism, problem = subject_of(subject)
+            mechanism, problem = subject_of(cast("Subject", subject))
     except REFUSED as error:
         text = source_of(subject).name if isinstance(subject, Source | str | Path) else str(subject)
         return refused_model("the model" if "<" in text else Path(text).stem, error)
@@ -96,4 +111,5 @@ def check(
         site_force_n if site_force_n or not sites else {},
         tolerance if tolerance or not tolerances else {},
         with_parameters=parameters,
+        phases=phases,
     )

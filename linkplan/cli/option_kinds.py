@@ -61,6 +61,7 @@ KINDS = {
     "PlanLike": _PLAN,
     "AnyPlan": _PLAN,
     "PlanLike | Subject": _EXPORTED,
+    "Subject | PhasedProblem": _SUBJECT,
     "ProblemLike": _PROBLEM,
     "AnyProblem": _PROBLEM,
     "str | Path | Source": Kind(
@@ -129,6 +130,7 @@ _UNITS = {"s": "SECONDS", "hz": "HZ", "deg": "DEG", "m": "M"}
 # The options that say how the first argument is read.
 SOURCES = {
     "Subject": ("set", *names.SELECTION),
+    "Subject | PhasedProblem": ("set", *names.SELECTION),
     "PlanLike": ("set", "anyway"),
     "AnyPlan": ("set", "anyway"),
     "PlanLike | Subject": ("set", "anyway", *names.SELECTION),

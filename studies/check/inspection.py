@@ -100,10 +100,12 @@ def inspect(
     *,
     motion: KinematicLoopPath | None = None,
     contacts: str = "refuse",
+    on_ground: bool = False,
 ) -> Inspection:
     """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
 
-    For a problem, contacts are judged along its `motion` by its setting `contacts`.
+    For a problem, contacts are judged along its `motion` by its setting `contacts`. The base of a mechanism that stands
+    `on_ground` may float.
     """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     floating = floating_columns(mechanism)
@@ -111,7 +113,7 @@ def inspect(
     swept = [thinned(poses, max(2, _MOST_CONTACT_POSES // len(swept))) for poses in swept]
     poses, sweeps = np.vstack(swept), [len(one) for one in swept]
     touching = contact_pairs(mechanism, poses)
-    problems, notes = _findings(mechanism, reaches)
+    problems, notes = _findings(mechanism, reaches, floats=on_ground)
     refused, noted = contact_findings(mechanism, touching, sweeps, motion, contacts)
     return Inspection(
         name=mechanism.name,
@@ -236,8 +238,8 @@ def _open_loops(mechanism: Mechanism) -> str:
     return f"{', '.join(dict.fromkeys(names))} is open by {' and '.join(by)}"
 
 
-def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[str], list[str]]:
-    """Return the problems, and notes on findings that are not faults, each a sentence."""
+def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...], *, floats: bool) -> tuple[list[str], list[str]]:
+    """Return the problems, and notes on findings that are not faults, each a sentence; its base may float if `floats`."""
     problems, notes = _home_findings(mechanism)
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {
@@ -245,7 +247,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     }
     steerable = steerable_columns(mechanism) if driven else np.zeros(mechanism.dof, dtype=bool)
     base, floating = floating_sentence(mechanism.model), floating_columns(mechanism)
-    problems += [] if base is None else [base]
+    problems += [] if base is None or floats else [base]
     for can in reaches:
         if can.coordinate in floating:
             continue

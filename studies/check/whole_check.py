@@ -17,8 +17,10 @@ from linkplan.models.selected_model import whole_model_text
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import largest_forces, path_blocks, pin_table, weight_sentences
+from linkplan.studies.check.contacts import StandingPose, standing_blocks, standing_poses
 from linkplan.studies.check.drives import joints_to_drive
 from linkplan.studies.check.inspection import Inspection, asked_pose, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks, summary_blocks
@@ -72,6 +74,7 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
     sites: Sequence[SiteStatics] | UnsetType = UNSET
     parameters: Sequence[NamedNumber] | UnsetType = UNSET
     tolerances: Sequence[Tolerances] | UnsetType = UNSET
+    contacts_at_rest: Sequence[StandingPose] | UnsetType = UNSET
     sweeps: Beside[tuple[Sweep, ...]] = NOT_READ
 
     @property
@@ -120,6 +123,7 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
 
     def _site_blocks(self) -> list[Block]:
         found = [block for site in self.sites or () for block in statics_blocks(site)]
+        found += standing_blocks(self.contacts_at_rest) if self.contacts_at_rest else []
         found += [block for errors in self.tolerances or () for block in tolerance_blocks(errors)]
         if self.parameters:
             rows = [[one.name, one.value, one.unit] for one in self.parameters]
@@ -203,6 +207,7 @@ def check_whole(
     tolerances: Mapping[str, float] | None = None,
     *,
     with_parameters: bool = False,
+    phases: PhasedProblem | None = None,
 ) -> WholeCheck:
     """Return the check of a mechanism, along its problem's motion if there is a problem.
 
@@ -214,12 +219,14 @@ def check_whole(
         site_forces: forces (3,) [N] that act on sites, one at a time, with the statics of all sites; None leaves them out.
         tolerances: of numbers of the model [SI] by name or pattern, with those of the problem; None leaves errors out.
         with_parameters: whether the numbers of the model that can be parameters are listed.
+        phases: the motion in phases whose contacts are examined; None without.
 
     Raises:
         ProblemError: if a pose is out of reach or names a dependent joint, or a force is on no site.
     """
     motion, off_path = _motion(problem)
-    found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.limits.contacts)
+    judged, stands = "refuse" if problem is None else problem.limits.contacts, phases is not None
+    found = inspect(mechanism, list(poses), motion=motion, contacts=judged, on_ground=stands)
     along = reach_sweeps(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
     singular = [note for path in along for note in inertia_notes(path)]
@@ -235,7 +242,8 @@ def check_whole(
     if with_parameters:
         every = parameters_of(mechanism.model).values()
         numbers = [NamedNumber(name=one.name, value=one.value, unit=one.unit) for one in every]
-    further = {"sites": sites, "tolerances": errors, "parameters": numbers}
+    contacts = UNSET if phases is None else standing_poses(phases)
+    further = {"sites": sites, "tolerances": errors, "parameters": numbers, "contacts_at_rest": contacts}
     return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along, **further)
 
 

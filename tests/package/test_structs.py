@@ -29,6 +29,10 @@ APEX = {"com_height": "apex"}
 TURN = {"goal_deg": {"O": 60.0}}
 MADE = {
     "check": ("WholeCheck", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
+    "check of contacts": (
+        "WholeCheck",
+        lambda _: linkplan.check(linkplan.Problem.phases(HOPPER, JUMP, contacts=TOE, objective={"maximize": APEX})),
+    ),
     "check of a locked model": ("RefusedModel", lambda _: linkplan.check(LOCKED)),
     "plan in phases": (
         "PhasedPlan",
