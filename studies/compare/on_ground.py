@@ -19,7 +19,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.whole_body import fall_acceleration
 from linkplan.planner.plan.phased import PhasedRecord
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.build import mechanism_from_tables, parameters_of, table_of
 from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phase_poses import mirror_of
 from linkplan.studies.compare.compare import Mismatch, build_tracker, control_loop, design_of
@@ -70,9 +70,10 @@ def ground_motion(record: PhasedRecord) -> GroundMotion:
             f"tracking on the ground needs the same payload and closures in all phases, and phase {changes[0]} changes them;"
             " track the folder of one phase"
         )
-    table = {key: value for key, value in record.plans[0].problem.mechanism.source.items() if key != "independent"}
-    table["stand"] = asked.sections.mechanism.to_dict().get("stand", {})
-    mechanism = mechanism_from_tables({"mechanism": {key: value for key, value in table.items() if value}}, None)
+    standing = record.plans[0].problem.mechanism
+    table = table_of(standing) | {"stand": asked.sections.mechanism.to_dict().get("stand"), "independent": None}
+    tables = {"mechanism": {key: value for key, value in table.items() if value}}
+    mechanism = mechanism_from_tables(tables | ({"parameters": named} if (named := parameters_of(standing)) else {}))
     order = mirror_of(asked, mechanism)
     feet, places = _feet(asked, mechanism, order)
     names = [foot.site for foot in feet]
@@ -210,7 +211,7 @@ def law_of(asked: TrackerLike, motion: GroundMotion) -> tuple[PhasedLaw, np.ndar
         GainError: if there are no gains.
     """
     designs = [design_of(plan, one) for plan, one in zip(motion.plans, motion.references, strict=True)]
-    jumps = jumps_of(motion)
+    jumps = jumps_of(motion) if asked == "lqr" or motion.exchanged is not None else []
     if asked == "lqr":
         laws = through_phases(designs, jumps)
     else:
