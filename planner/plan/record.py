@@ -9,6 +9,7 @@ from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.tables import PHASES_FILE
 from linkplan.planner.plan.verdict import Kind, Verdict
 from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
@@ -85,6 +86,9 @@ def read_plan_record(folder: Path) -> PlanRecord:
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
     if not path.exists():
+        if (folder / PHASES_FILE).is_file():
+            names = ", ".join(f"'{one.parent}'" for one in sorted(folder.glob("*/plan.json")))
+            raise PlanFileError(f"'{folder}' is a plan in phases: name the folder of one phase, of {names}")
         within = folder / "plan"
         inside = f", as '{within}' is" if (within / "plan.json").is_file() else ""
         raise PlanFileError(

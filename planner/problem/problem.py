@@ -173,7 +173,8 @@ class Problem:
         """
         if "phases" in tables:
             raise ProblemError(
-                f"problem '{name}' has phases: `plan` takes it, and other commands the folder of one phase of its plan"
+                f"problem '{name}' has phases: `plan`, `check`, `track`, `compare`, `render` and `batch` take it, and other"
+                " commands the folder of one phase of its plan"
             )
         sections: Any = tables
         return cls(name=name, sections=sections, folder=folder, loaded=mechanism, **extras)

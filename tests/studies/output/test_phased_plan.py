@@ -59,8 +59,13 @@ def test_the_command_plans_phases_and_others_name_the_folder_of_one(tmp_path, ca
     assert json.loads(capsys.readouterr().out)["phases"][1]["name"] == "carry"
     assert main(["prove", "picked/2-carry"]) == 0
     capsys.readouterr()
-    assert main(["track", "pick.toml"]) == 2
-    assert "has phases" in capsys.readouterr().err
+    for words, said in (
+        (["experiment", "pick.toml"], "has phases"),
+        (["prove", "picked"], "name the folder of one phase, of 'picked/1-approach', 'picked/2-carry'"),
+        (["track", "pick.toml"], "the same payload and closures"),
+    ):
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_phases_that_no_effort_joins_in_time_have_a_verdict_and_no_motion():
