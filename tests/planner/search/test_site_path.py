@@ -14,6 +14,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, site_motion
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.reach import reach
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.plan.folder import read_plan, write_plan
@@ -562,3 +563,18 @@ def test_efforts_along_a_path_are_those_of_the_joints_where_coefficients_lie_bey
     time = np.linspace(0.0, 1.0, 21)
     assert np.all(np.abs(along.effort_at(time)) < LIMIT)
     np.testing.assert_allclose(_in_joints(problem, guide, along).effort_at(time), along.effort_at(time), atol=1e-9)
+
+
+def test_a_corner_rounded_within_a_micrometre_is_in_reach():
+    leg = """<mujoco><worldbody><body pos="0 0 .5"><joint name="hip" axis="0 -1 0"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+    <body pos=".3 0 0"><joint name="knee" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 .25 0 0" size=".015"/>
+    <site name="foot" pos=".25 0 0"/></body></body></worldbody><actuator><motor name="hip" joint="hip" ctrlrange="-20 20"/>
+    <motor name="knee" joint="knee" ctrlrange="-20 20"/></actuator></mujoco>"""
+    path = {"site": "foot", "points": [[0.25, 0, 0.1], [0.25, 0, 0.3], [0.4, 0, 0.3]], "blend_m": 1e-6}
+    start = {"hip": -60.0, "knee": 60.0}
+    tables = {"mechanism": {"model": leg}, "path": path, "objective": {"minimize": "time"}}
+    motion = {"kind": "follow", "start_deg": start, "duration_s": "free"}
+    asked = Problem.from_tables("tight", tables | {"motion": motion})
+    along = asked.path.guided(asked.mechanism, asked.start_pose())
+    assert reach(along, along.dof - 1).upper.position > 0.35  # of 0.2 + 0.15 m
