@@ -1,7 +1,7 @@
 """Curves in space that a site follows: an arc, a polyline with rounded corners, a spline through points.
 
 Every curve has continuous second derivatives by its parameter, so that accelerations along it have no jumps. The third
-derivative of a spline jumps at its points.
+derivative of a spline jumps at its points. That of a polyline jumps at the ends of its roundings, unless it is asked not to.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class Curve:
 
     @cached_property
     def is_smooth(self) -> bool:
-        """Whether the third derivative has no jumps, so that limits on jerk apply: not for a spline of cubics."""
-        cubics = [one for one in self.pieces if isinstance(one, Polynomial) and len(one.coefficients) == 4]
-        return len(self.pieces) == 1 or not cubics
+        """Whether the third derivative has no jumps, so that limits on jerk apply."""
+        joined = [len(one.coefficients) for one in self.pieces if isinstance(one, Polynomial)]
+        return len(self.pieces) == 1 or not {4, 6} & {*joined}  # cubics of a spline, quintics at corners
 
     @property
     def length(self) -> float:
@@ -151,8 +151,10 @@ class Curve:
         return np.array(self.function.map(len(x))(np.asarray(x)[None])[0]).T
 
 
-def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
-    """Return the polyline through points (n, 3) with corners rounded by septics that begin `blend_m` before them.
+def line(points: np.ndarray, blend_m: float, where: str, order: int) -> Curve:
+    """Return the polyline through points (n, 3) with corners rounded by polynomials that begin `blend_m` before them.
+
+    Their derivatives up to `order` do not jump.
 
     Raises:
         ModelError: for a corner that is not rounded, one that turns back, or a segment that is too short for its blends.
@@ -181,7 +183,7 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
         if end > begin:
             pieces.append(Polynomial(coefficients=np.array([point + begin * unit, unit]), length=end - begin))
         if corner:
-            pieces.append(_blend(points[k + 1], unit, units[k + 1], blend_m))
+            pieces.append(_blend(points[k + 1], unit, units[k + 1], blend_m, order))
         begin = blend_m if corner else 0.0
     return Curve(tuple(pieces))
 
@@ -190,17 +192,18 @@ def _text(point: np.ndarray) -> str:
     return f"[{', '.join(f'{x:g}' for x in point)}]"
 
 
-def _blend(corner: np.ndarray, before: np.ndarray, after: np.ndarray, blend_m: float) -> Polynomial:
-    """Return the septic that leaves one line and enters the next with equal tangents, and no second or third derivative."""
+def _blend(corner: np.ndarray, before: np.ndarray, after: np.ndarray, blend_m: float, order: int) -> Polynomial:
+    """Return the polynomial that leaves one line and enters the next with equal derivatives up to an order."""
     length = 2.0 * blend_m  # its parameter is the way along the polyline
-    ends = corner - blend_m * before, corner + blend_m * after
-    rows = np.zeros((8, 8))
-    for order in range(4):
-        for power in range(order, 8):
-            factor = float(np.prod(np.arange(power - order + 1, power + 1)))
-            rows[order, power] = factor * (power == order)
-            rows[4 + order, power] = factor * length ** (power - order)
-    values = np.array([ends[0], before, *np.zeros((2, 3)), ends[1], after, *np.zeros((2, 3))])
+    ends, n = (corner - blend_m * before, corner + blend_m * after), order + 1
+    rows = np.zeros((2 * n, 2 * n))
+    for derivative in range(n):
+        for power in range(derivative, 2 * n):
+            factor = float(np.prod(np.arange(power - derivative + 1, power + 1)))
+            rows[derivative, power] = factor * (power == derivative)
+            rows[n + derivative, power] = factor * length ** (power - derivative)
+    straight = np.zeros((n - 2, 3))
+    values = np.array([ends[0], before, *straight, ends[1], after, *straight])
     return Polynomial(coefficients=np.linalg.solve(rows, values), length=length)
 
 
@@ -243,15 +246,15 @@ def spline(points: np.ndarray, where: str) -> Curve:
     )
 
 
-SHAPES: dict[str, Callable[[np.ndarray, float, str], Curve]] = {
+SHAPES: dict[str, Callable[[np.ndarray, float, str, int], Curve]] = {
     "polyline": line,
-    "spline": lambda points, _blend_m, where: spline(points, where),
-    "arc": lambda points, _blend_m, where: arc(points, where),
+    "spline": lambda points, _blend_m, where, _order: spline(points, where),
+    "arc": lambda points, _blend_m, where, _order: arc(points, where),
 }
 
 
-def curve_through(points: Sequence[Sequence[float]], shape: str, blend_m: float, where: str) -> Curve:
-    """Return the curve of a shape through points [m].
+def curve_through(points: Sequence[Sequence[float]], shape: str, blend_m: float, where: str, order: int = 2) -> Curve:
+    """Return the curve of a shape through points [m]; derivatives up to `order` do not jump at a polyline's corners.
 
     Raises:
         ModelError: for points that have no such curve.
@@ -263,4 +266,4 @@ def curve_through(points: Sequence[Sequence[float]], shape: str, blend_m: float,
     gaps = np.linalg.norm(np.diff(given, axis=0), axis=1)
     if gaps.min() <= _SAME_POINT_SHARE * gaps.sum():
         raise ModelError(f"{where} has distinct consecutive points, got {_text(given[int(gaps.argmin())])} twice")
-    return SHAPES[shape](given, blend_m, where)
+    return SHAPES[shape](given, blend_m, where, order)

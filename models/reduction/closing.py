@@ -22,9 +22,8 @@ from linkplan.models.reduction.reduced import ReducedDynamics
 STEP_RAD = 0.035
 # Most steps of a path (about 500 turns). A pose further away is a typing error.
 MAX_PATH_STEPS = 1e5
-# Shortest step as a share of the longest. Below it the path has met a singular pose. A corner that is rounded within a
-# micrometre needs almost such steps.
-_LEAST_STEP_SHARE = 1e-6
+# Shortest step as a share of the longest. Below it the path has met a singular pose.
+_LEAST_STEP_SHARE = 1e-5
 # Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
 _NEWTON_STEPS = 3
 # Newton's correction in a regular stride, as a share of the longest step: largest value.

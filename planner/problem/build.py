@@ -134,7 +134,8 @@ def values_of(
         reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
         notes += reference_notes
     if asked.path is not None:
-        path = site_path_of(asked.path, mechanism)
+        smooth = bool(limits.site_jerk) or bool(np.any(np.isfinite(limits.jerk)))
+        path = site_path_of(asked.path, mechanism, smooth=smooth)
     motion = motion_of(asked.motion, mechanism, reference, limits, path)
     forces = None if asked.force_over_time is None else forces_of(asked.force_over_time, mechanism, motion, reference)
     if asked.force_over_time is not None:

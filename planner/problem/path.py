@@ -25,14 +25,14 @@ _PATH_SAMPLES = 181
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Feed:
-    """The motion of constant speed along a curve, as a reference of its parameter: x(t) at the way L t / `period_s`."""
+    """The motion along a curve of length L at constant speed, as a reference: at time t the way is L t / `period_s`."""
 
     curve: Curve
     period_s: float
     periodic: bool = False
 
     def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return the parameter's derivative (n, 1) of order 0 to 2 at times (n,)."""
+        """Return the curve's parameter (order 0), its rate (1) or its acceleration (2), (n, 1), at times (n,) [s]."""
         speed = self.curve.ways[1][-1] / self.period_s
         x = self.curve.at_way(np.clip(speed * np.asarray(time_s, dtype=float), 0.0, self.curve.ways[1][-1]))
         return (x, *self.curve.along(x, speed, np.zeros(len(x))))[order][:, None]
@@ -127,8 +127,8 @@ def _guided(path: SitePath, mechanism: Mechanism, pose: tuple[float, ...]) -> Gu
         raise ProblemError(str(error)) from error
 
 
-def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
-    """Return the path of a [path] table.
+def site_path_of(section: PathSection, mechanism: Mechanism, *, smooth: bool) -> SitePath:
+    """Return the path of a [path] table; if `smooth`, the third derivative does not jump at a polyline's roundings.
 
     Raises:
         ProblemError: for points through which there is no such curve.
@@ -138,7 +138,7 @@ def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
     if section.blend_m is not None and section.shape != "polyline":
         raise ProblemError(f"path.blend_m rounds the corners of shape 'polyline', got shape '{section.shape}'")
     try:
-        curve = curve_through(section.points, section.shape, section.blend_m or 0.0, "path")
+        curve = curve_through(section.points, section.shape, section.blend_m or 0.0, "path", 3 if smooth else 2)
     except ModelError as error:
         raise ProblemError(str(error)) from error
     index = site_index(mechanism.model, section.site, "path.site", ProblemError)

@@ -352,7 +352,9 @@ class Problem:
         # Along a path the joints' jerk differs from that of the only coordinate.
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
         bent = self.path is not None and not self.path.curve.is_smooth
-        smooth_only = "a limit or cost on jerk along a spline, only along a polyline or an arc"
+        smooth_only = (
+            "a limit on jerk along a spline, or one in Python along rounded corners, only along a polyline or an arc"
+        )
         others |= {smooth_only: bent and any(jerk)}
         if self.path is not None or self.motion.kind == "follow":
             check_path(self.path, self.motion.kind, others)

@@ -412,7 +412,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
                 "limits": {"site_jerk_m_s3": {"tip": 40.0}},
                 "path": {"site": "tip", "points": [LINE[0], [0.45, 0.0, 0.1], LINE[1]], "shape": "spline"},
             },
-            "cannot be combined with a limit or cost on jerk along a spline, only along a polyline or an arc",
+            "cannot be combined with a limit on jerk along a spline, or one in Python along rounded corners",
         ),
         (
             {"path": {"site": "tip", "points": LINE, "feed_m_s": 0.1, "goal_speed_m_s": 0.1}},
