@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.models.actuation.distribution import HOLDING_TOLERANCE, distribute
+from linkplan.models.ground import ground_of
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded
 from linkplan.models.poses.whole_body import total_mass, unit_acceleration
@@ -15,8 +16,8 @@ from linkplan.planner.problem.phases import PhasedProblem
 from linkplan.planner.search.phase_poses import phase_poses
 from linkplan.studies.output.document import Block, Text, table_of
 
-# Edges of the pyramid in the friction cone, and the friction of a contact that does not slip.
-_PYRAMID_EDGES, _NO_SLIP = 16, 1e3
+# Edges of the pyramid in the friction cone.
+_PYRAMID_EDGES = 16
 
 
 class StandingPose(Struct, frozen=True, kw_only=True):
@@ -66,18 +67,21 @@ def _standing(asked: PhasedProblem, k: int, mechanism: Mechanism, pose: np.ndarr
     still, weight = np.zeros((1, mechanism.dof)), total_mass(mechanism) * unit_acceleration(mechanism)
     tau, maps = demanded(mechanism, pose[None], still, still)
     gamma = np.array(mechanism.dynamics.velocity_map(pose))
-    edges = [_edges(_NO_SLIP if friction is None else friction) for friction in frictions]
-    pushes = [weight * gamma.T @ J.T @ of.T for J, of in zip(_site_slopes(mechanism, names, pose), edges, strict=True)]
+    grounds = [
+        ground_of(mechanism.model, asked.sections.contacts[one].plane) for one in contacts for _ in asked.sites_of(one)
+    ]
+    parts = [_parts(ground[3:], friction) for ground, friction in zip(grounds, frictions, strict=True)]
+    pushes = [weight * gamma.T @ J.T @ of.T for J, (of, _) in zip(_site_slopes(mechanism, names, pose), parts, strict=True)]
     n_u, unit = mechanism.n_u, unit_steps(mechanism.independent_joints, mechanism.extent_m)
     every = np.hstack([maps[0], *pushes]) * unit[:, None]
-    limit = np.vstack([mechanism.effort_limit, np.tile([0.0, np.inf], (_PYRAMID_EDGES * len(names), 1))])
+    limit = np.vstack([mechanism.effort_limit, *(bounds for _, bounds in parts)])
     (held,) = distribute(tau * unit, every[None], limit)
     held = np.clip(held, *limit.T)
     missed = (tau[0] * unit - every @ held) / unit
     joint = int(np.argmax(np.abs(missed * unit)))
     lacks = abs(missed[joint] * unit[joint]) > HOLDING_TOLERANCE * weight * mechanism.extent_m
-    shares = held[n_u:].reshape(len(names), _PYRAMID_EDGES)
-    forces = {name: _rounded(weight * share @ of, weight) for name, share, of in zip(names, shares, edges, strict=True)}
+    shares = np.split(held[n_u:], np.cumsum([len(of) for of, _ in parts])[:-1])
+    forces = {name: _rounded(weight * share @ of, weight) for name, share, (of, _) in zip(names, shares, parts, strict=True)}
     efforts = _rounded(held[:n_u], weight * mechanism.extent_m)
     return StandingPose(
         phase=asked.phases[k].name,
@@ -92,14 +96,23 @@ def _standing(asked: PhasedProblem, k: int, mechanism: Mechanism, pose: np.ndarr
 
 
 def _rounded(values: np.ndarray, unit: float) -> np.ndarray:
-    """Return values without those that are rounding of a unit."""
+    """Return values, with zero in place of those so small against a unit of the same kind that they are rounding."""
     return np.where(np.abs(values) > HOLDING_TOLERANCE * unit, values, 0.0)
 
 
-def _edges(friction: float) -> np.ndarray:
-    """Return the edges (n, 3) of the pyramid in a friction cone about z, with a push of 1."""
+def _parts(normal: np.ndarray, friction: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return forces (n, 3) that add up to any of a contact, and the bounds (n, 2) of their factors.
+
+    They are the edges of a pyramid in the friction cone, with a push of 1; without slip, the normal and two tangents.
+    """
+    first = np.cross(normal, [0.0, 1.0, 0.0] if abs(normal[1]) < abs(normal[2]) else [0.0, 0.0, 1.0])
+    first /= np.linalg.norm(first)
+    tangents = np.stack([first, np.cross(normal, first)])
+    if friction is None:
+        return np.vstack([normal, tangents]), np.array([[0.0, np.inf], [-np.inf, np.inf], [-np.inf, np.inf]])
     angle = 2.0 * np.pi * np.arange(_PYRAMID_EDGES) / _PYRAMID_EDGES
-    return np.column_stack([friction * np.cos(angle), friction * np.sin(angle), np.ones(_PYRAMID_EDGES)])
+    edges = normal + friction * np.column_stack([np.cos(angle), np.sin(angle)]) @ tangents
+    return edges, np.tile([0.0, np.inf], (_PYRAMID_EDGES, 1))
 
 
 def _site_slopes(mechanism: Mechanism, names: Sequence[str], pose: np.ndarray) -> list[np.ndarray]:
