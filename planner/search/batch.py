@@ -28,7 +28,15 @@ def check_batch(batch: BatchFile) -> str:
     # Ten thousand problems take gigabytes, so each is built, checked, discarded, and later built again for planning.
     for case, problem in _problems(batch, batch.case):
         check()
-        mechanism = problem.bare_mechanism(0) if isinstance(problem, PhasedProblem) else problem.mechanism
+        if isinstance(problem, PhasedProblem):
+            from linkplan.planner.search.phase_poses import phase_poses
+
+            try:
+                mechanism = phase_poses(problem).bare[0]  # raises for contacts and joints that no pose has
+            except ProblemError as error:
+                raise ProblemError(f"case '{case.name}': {error}") from error
+        else:
+            mechanism = problem.mechanism
         if mechanism is not last:
             digest.update(mechanism.fingerprint().encode())
             last = mechanism
