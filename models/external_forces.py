@@ -52,7 +52,7 @@ def omitted_forces(forces: ForcesOverTime | None, where: str) -> str | None:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Load:
-    """A force along the length of a joint, or of a site along an axis of the world, that depends on a place or a speed.
+    """A force that depends on a place or a speed. It acts on a joint, or on a site along an axis of the world.
 
     Between the rows it is their monotone cubic (Fritsch & Carlson 1980), beyond them that of the last row. Rows over a whole
     turn of a hinge that end as they begin repeat with every turn.
@@ -100,7 +100,8 @@ class Load:
     def expression(self, x: ca.SX) -> ca.SX:
         """Return the effort at a place or a speed: the sum of what each cubic adds, up to the place.
 
-        Turns that repeat are a window of several, so that the window's ends, where a step is, are far from a motion's.
+        Rows that repeat with every turn are written for several turns. The expression has a step where these end, which is
+        then far from most motions.
         """
         total, turns = ca.SX(float(self.effort[0])), range(_TURNS_OF_WINDOW) if self.repeats else (0,)
         if self.repeats:

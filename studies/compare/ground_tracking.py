@@ -205,7 +205,7 @@ class GroundTracking(Result, Struct, frozen=True, kw_only=True, eq=False, omit_d
             yield from plots(f"Effort of {actuator.name}", "effort", TIME, longest, shown, group=self.plan)
 
     def _past_end(self, axis: int) -> bool:
-        """Whether the plan says nothing about the height of a flight after its end."""
+        """Whether the motion ends in flight and `axis` is the height, which the plan does not have afterwards."""
         return axis == 2 and not self.repeats and not self.motion.record.phases[-1].on
 
     def _animation(self) -> Block:

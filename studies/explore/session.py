@@ -33,7 +33,8 @@ OBJECTIVES = ("effort", "time", "work")
 Save = Callable[[Problem], str]
 # Sliders of duration, payload and parameters go from a quarter to four times the problem's value; those of gains go further.
 _SLIDER_FACTOR, _GAIN_FACTOR = 4.0, 16.0
-# Sliders of numbers that move pins, without a range, go this share of the mechanism's size to either side.
+# The slider of a number that moves a pin and has no range extends by this share of the mechanism's size to both sides of its
+# value.
 _PIN_SHARE = 0.05
 # Sliders end this share of their length before the pose at which the loop opens, where rounding decides if it closes.
 _INSIDE_SHARE = 2e-6
