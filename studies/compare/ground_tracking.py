@@ -154,8 +154,9 @@ class GroundTracking(Result, Struct, frozen=True, kw_only=True, eq=False, omit_d
 
     def document(self) -> Report:
         """Return the report: the runs, their motion and forces."""
-        well = [name for name, run in self.runs.items() if run.passed]
-        verdict = f"{', '.join(well) or 'no tracker'} through all phases in time"
+        well, lost = ([name for name, run in self.runs.items() if run.passed is is_so] for is_so in (True, False))
+        verdict = f"{self.case}: all phases in time with {', '.join(well) or 'no tracker'}"
+        verdict += f", NOT with {', '.join(lost)}" if lost and well else ""
         sections = [Section(title="On the ground", blocks=[*self.blocks(), self._animation(), *self._plots()])]
         return report_of(f"Trackers on {self.plan}", verdict, bool(well), sections)
 
@@ -209,17 +210,24 @@ class GroundTracking(Result, Struct, frozen=True, kw_only=True, eq=False, omit_d
         return axis == 2 and not self.repeats and not self.motion.record.phases[-1].on
 
     def _animation(self) -> Block:
-        motion, runs = self.motion, {}
-        frames = np.unique(np.linspace(0, motion.whole.n - 1, frames_of(motion.mechanism, 1 + len(self.logs))).astype(int))
+        """Return the animation of the planned motion, until its end, with every run as a ghost."""
+        motion, runs, whole = self.motion, {}, self.motion.whole
+        last = whole.n - 1 if self.repeats else min(whole.n, sum(one.n for one in motion.references)) - 1
+        frames = np.unique(np.linspace(0, last, frames_of(motion.mechanism, 1 + len(self.logs))).astype(int))
         for name, log in self.logs.items():
             at = np.minimum(frames, len(log.time_s) - 1)
             runs[name] = Run(poses=np.nan_to_num(log.pose[at]), effort=np.nan_to_num(log.effort[at]))
-        first, *others = runs
         return animation(
-            motion.mechanism, f"{self.plan} on the ground, {first}", self.plan, motion.whole.time_s[frames],
-            runs[first].poses, effort=runs[first].effort, effort_limit=effort_bounds(motion.plans[0].problem),
-            ghosts={name: runs[name] for name in others}, sites=motion.plans[0].problem.sites,
-        )  # fmt: skip
+            motion.mechanism,
+            f"{self.plan}, planned and as tracked on the ground",
+            self.plan,
+            whole.time_s[frames],
+            whole.pose_rad[frames],
+            effort=whole.effort[frames],
+            effort_limit=effort_bounds(motion.plans[0].problem),
+            ghosts=runs,
+            sites=motion.plans[0].problem.sites,
+        )
 
     def __repr__(self) -> str:
         return f"GroundTracking({self.plan!r}: {', '.join(self.runs)})"
